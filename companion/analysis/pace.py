@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from itertools import combinations
 from math import dist, inf, radians, tan
 
-from companion.analysis.response import ROUNDING, Chain, Pair, refused_cases, slower_by
+from companion.analysis.response import ROUNDING, Chain, ClosestPair, refused_cases, slower_by
 from companion.config.fleet import FleetConfig
 from companion.config.planned_flight import neighbour_graph
 from companion.config.reference import Reference
@@ -75,7 +75,7 @@ def chains_of(
     return (Chain(law, graph, of, drag_1_s, envelope.max_speed_m_s, most_m_s2) for of in leaders)
 
 
-def _outcome(pair: Pair, fleet: FleetConfig) -> str:
+def _outcome(pair: ClosestPair, fleet: FleetConfig) -> str:
     if pair.one_id == pair.other_id:
         return f"vehicle {pair.one_id} would exceed envelope.max_speed_m_s or max_tilt_deg to keep up"
     return (

@@ -37,7 +37,7 @@ Motion = Sequence[Harmonic]
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class ClosestPair:
     """Two vehicles and their least distance as `separation_m` counts it; or one vehicle twice that cannot keep up."""
 
     one_id: int
@@ -96,7 +96,7 @@ class Chain:
             rows[i], right[i] = row, (fed_back + g * follow * plant) if leads else 0j
         return _solved(rows, right)
 
-    def closest(self, motion: Motion, slots_m: Mapping[int, Vector3]) -> Pair:
+    def closest(self, motion: Motion, slots_m: Mapping[int, Vector3]) -> ClosestPair:
         """The least distance of any two vehicles in this motion; 0 for a vehicle beyond its speed or acceleration.
 
         `slots_m` are the slots in the coordinates that count for distances.
@@ -109,8 +109,8 @@ class Chain:
                 speed_m_s += moved_m_s
                 acceleration_m_s2 += moved_m_s * abs(1j * harmonic.rate_rad_s + self.drag_1_s)
             if speed_m_s > self.speed_m_s * (1.0 + ROUNDING) or acceleration_m_s2 > self.acceleration_m_s2:
-                return Pair(i, i, 0.0)
-        worst = Pair(0, 0, inf)
+                return ClosestPair(i, i, 0.0)
+        worst = ClosestPair(0, 0, inf)
         ids = sorted(slots_m)
         for index, i in enumerate(ids):
             for j in ids[:index]:
@@ -120,25 +120,25 @@ class Chain:
                 if apart_m - most_m < worst.distance_m:
                     nearest_m = _nearest_m(slots_m[i], slots_m[j], motion, shifts)
                     if nearest_m < worst.distance_m:
-                        worst = Pair(j, i, nearest_m)
+                        worst = ClosestPair(j, i, nearest_m)
         return worst
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class RefusedCase:
     """One motion for one chain, and the pair that comes nearest in it."""
 
     chain: Chain
     motion: Motion
-    pair: Pair
+    pair: ClosestPair
 
 
 def refused_cases(
     chains: Iterable[Chain], motions: Sequence[Motion], slots_m: Mapping[int, Vector3], separation_m: float
-) -> Steps[list[Case]]:
+) -> Steps[list[RefusedCase]]:
     """The cases in which two vehicles come nearer than `separation_m`."""
     done = 0
-    found: list[Case] = []
+    found: list[RefusedCase] = []
     for chain in chains:
         done += len(slots_m) ** 2
         for motion in motions:
@@ -148,19 +148,19 @@ def refused_cases(
                 yield
             pair = chain.closest(motion, slots_m)
             if _is_too_near(pair, separation_m):
-                found.append(Case(chain, motion, pair))
+                found.append(RefusedCase(chain, motion, pair))
             done += cost
     return found
 
 
 def too_close(
     chains: Iterable[Chain], motions: Sequence[Motion], slots_m: Mapping[int, Vector3], separation_m: float
-) -> Pair | None:
+) -> ClosestPair | None:
     """The first pair that comes nearer than `separation_m` in any of the motions; None where the law keeps the distance."""
     return next((case.pair for case in whole(refused_cases(chains, motions, slots_m, separation_m))), None)
 
 
-def slower_by(refused: Sequence[Case], slots_m: Mapping[int, Vector3], separation_m: float) -> Steps[float]:
+def slower_by(refused: Sequence[RefusedCase], slots_m: Mapping[int, Vector3], separation_m: float) -> Steps[float]:
     """How many times longer the same motions must take, so that the law keeps the distance; inf where no pace does.
 
     The search is done for the worst case. The others only have to be checked at the pace that is found, most of all once.
@@ -171,17 +171,17 @@ def slower_by(refused: Sequence[Case], slots_m: Mapping[int, Vector3], separatio
         times = yield from _pace_of(worst, times, slots_m, separation_m)
         if times == inf:
             return inf
-        still: list[Case] = []
+        still: list[RefusedCase] = []
         for case in refused:
             pair = _slowed(case, times, slots_m)
             if case is not worst and _is_too_near(pair, separation_m):
-                still.append(Case(case.chain, case.motion, pair))
+                still.append(RefusedCase(case.chain, case.motion, pair))
             yield
         refused = still
     return times
 
 
-def _pace_of(case: Case, times: float, slots_m: Mapping[int, Vector3], separation_m: float) -> Steps[float]:
+def _pace_of(case: RefusedCase, times: float, slots_m: Mapping[int, Vector3], separation_m: float) -> Steps[float]:
     """`slower_by` of one case that is refused at the pace `times`."""
     for _ in range(MOST_STEPS):
         too_fast, times = times, times * SLOWER
@@ -199,11 +199,11 @@ def _pace_of(case: Case, times: float, slots_m: Mapping[int, Vector3], separatio
     return times
 
 
-def _slowed(case: Case, times: float, slots_m: Mapping[int, Vector3]) -> Pair:
+def _slowed(case: RefusedCase, times: float, slots_m: Mapping[int, Vector3]) -> ClosestPair:
     return case.chain.closest([harmonic.slowed(times) for harmonic in case.motion], slots_m)
 
 
-def _is_too_near(pair: Pair, separation_m: float) -> bool:
+def _is_too_near(pair: ClosestPair, separation_m: float) -> bool:
     return pair.distance_m < separation_m * (1.0 - ROUNDING)
 
 

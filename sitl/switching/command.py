@@ -23,7 +23,7 @@ from sitl.switching.topology import Topology
 SCHEMA = 1
 
 
-class Report(Struct, frozen=True, kw_only=True):
+class SwitchingReport(Struct, frozen=True, kw_only=True):
     """Content of switching.json."""
 
     schema: int = SCHEMA
@@ -68,7 +68,7 @@ def _write(folder: Path, arguments: argparse.Namespace, flown: list[Topology]) -
     laws = summarize(flown)
     write_json(
         folder / "switching.json",
-        Report(
+        SwitchingReport(
             vehicles=arguments.vehicles,
             range_m=arguments.range,
             duration_s=arguments.seconds,
