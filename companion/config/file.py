@@ -1,4 +1,8 @@
-"""Reads files that are named by a user or another file: regular ones only, of limited size."""
+"""One YAML file -> one validated type, or one line for each error: file, field, value, what was expected.
+
+Files are named by a user or another file: only regular ones of limited size are read. A file of another kind than expected is
+refused as such. KEY.PATH=VALUE of a command line replaces one value in the plain content.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The `law` of a fleet file: which formation law flies, and which of its parameters are changed."""
+"""A fleet file: the settings that all vehicles of a fleet share. Its hash is part of every peer packet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks of a fleet file that need more than one field: ids, leaders, edges, slots, speeds, positions at the start."""
+"""Checks of a fleet file that need more than one field: ids, leaders, edges, slots, speeds, airspace, starts."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def load_fleet(path: Path) -> FleetConfig:
 def fleet_problems(fleet: FleetConfig, where: str = "") -> Iterator[Problem]:
     """All that is wrong between the fields of a fleet. `where` is the path of its section, like "fleet."."""
     with_ids = checkable(fleet)
-    yield from each(
+    of_fields = (
         _members(fleet, f"{where}vehicles"),
         _leader(fleet, f"{where}vehicles"),
         _slots(fleet, f"{where}vehicles"),
@@ -43,10 +43,13 @@ def fleet_problems(fleet: FleetConfig, where: str = "") -> Iterator[Problem]:
         _multicast(fleet, f"{where}multicast"),
         _battery(fleet, f"{where}land_below_percent"),
         law_problems(fleet.law, f"{where}law"),
+    )
+    of_ids = (
         _successors(with_ids, f"{where}successors"),
         _edges(with_ids, f"{where}neighbours.edges"),
         _cut_vertices(with_ids, f"{where}neighbours.edges"),
     )
+    yield from each(*of_fields, *of_ids)
 
 
 def checkable(fleet: FleetConfig) -> FleetConfig:

@@ -1,4 +1,7 @@
-"""The part of a scenario that `companion analyze` reads: fleet and starts, with the defaults of a simulated flight."""
+"""The part of a scenario that `companion analyze` reads: fleet and starts, with the defaults of a simulated flight.
+
+The default neighbours and the neighbour graphs of new fleets are here, too.
+"""
 
 from __future__ import annotations
 

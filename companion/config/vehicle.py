@@ -1,4 +1,7 @@
-"""Where the agents of a fleet listen and connect, and whether strangers can reach that."""
+"""A vehicle file: the settings of one vehicle, and where its agent listens and connects.
+
+It names its fleet file; that of a vehicle that may lead has a reference.
+"""
 
 from __future__ import annotations
 

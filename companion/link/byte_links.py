@@ -1,4 +1,8 @@
-"""Common parts of all links to the autopilot: the callback for bytes, and errors of endpoints that cannot be opened."""
+"""Byte links to the autopilot: UDP, TCP or serial. `companion.mavlink` encodes and decodes the bytes.
+
+Nothing is queued: data that cannot be sent now is dropped, because a late setpoint is worse than none. A byte stream (TCP or
+serial) is opened again after it is lost. What the other links of this computer need of sockets is here, too.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +16,10 @@ import socket
 import struct
 import termios
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from functools import partial
+from typing import Any, TypeVar
 
 from companion.types.errors import CompanionError
 
@@ -33,6 +38,9 @@ _ADVICE = {
     errno.ECONNREFUSED: "no program listens at {what}; is the autopilot running?",
     errno.ENOTTY: "{what} is not a serial device; expected one like /dev/ttyACM0, see /dev/serial/by-id",
 }
+
+
+Datagram = TypeVar("Datagram")
 
 
 class LinkError(CompanionError):
@@ -66,29 +74,31 @@ def explain(error: OSError, what: str) -> str:
     return advice.format(what=what) if advice else f"{what} cannot be opened: {error.strerror or error}"
 
 
+def resolve(host: str, port: int, hint: str, family: int = 0) -> tuple[int, int, int, Any]:
+    """Family, kind, protocol and address of a UDP socket. Raises LinkError, with the hint for a name without an address."""
+    name = encoded_host(host)
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(name, port, family, socket.SOCK_DGRAM)[0]
+    except socket.gaierror as error:
+        raise LinkError(hint) from error
+    return family, kind, protocol, address
+
+
+def read_waiting(receive: Callable[[], Datagram], most: int) -> Iterator[Datagram]:
+    """What waits on a non-blocking UDP socket, at most so many datagrams."""
+    for _ in range(most):
+        try:
+            yield receive()
+        except BlockingIOError:
+            return
+        except OSError:
+            continue  # ICMP error for a datagram sent earlier
+
+
 LONGEST_NUMBER = 9  # digits; Python refuses to parse thousands of them
 
 
-class MavlinkLink(Protocol):
-    """A byte link to the autopilot."""
-
-    def send(self, data: bytes) -> None:
-        """Hand one message to the operating system, or drop it. Never raises, never blocks."""
-
-    def offer(self, data: bytes) -> bool:
-        """Like `send`, for data that may wait: only while the link is nearly free. Returns whether it was sent."""
-
-    async def run(self) -> None:
-        """Receive until cancelled; a lost connection is opened again."""
-
-    def problem(self) -> str:
-        """Why nothing is received, as far as this end knows."""
-
-    def close(self) -> None:
-        """Close the link."""
-
-
-def open_link(endpoint: str, received: Received, all_read: AllRead) -> MavlinkLink:
+def open_link(endpoint: str, received: Received, all_read: AllRead) -> UdpLink | StreamLink:
     """The link for "udpin:HOST:PORT", "tcp:HOST:PORT" or "serial:DEVICE:BAUD". Raises LinkError."""
     kind, _, rest = endpoint.partition(":")
     address, _, number = rest.rpartition(":")
@@ -127,16 +137,19 @@ class UdpLink:
         self._anything_arrived = False
 
     def send(self, data: bytes) -> None:
+        """Hand one message to the operating system, or drop it. Never raises, never blocks."""
         if self._autopilot:
             # ConnectionRefused refers to an earlier datagram, BlockingIOError to a full buffer: both are lost packets.
             with contextlib.suppress(OSError):
                 self._socket.sendto(data, self._autopilot)
 
     def offer(self, data: bytes) -> bool:
+        """Like `send`, for data that may wait: only while the link is nearly free. Returns whether it was sent."""
         self.send(data)
         return self._autopilot is not None
 
     async def run(self) -> None:
+        """Receive until cancelled."""
         loop = asyncio.get_running_loop()
         loop.add_reader(self._socket, self._readable)
         try:
@@ -145,6 +158,7 @@ class UdpLink:
             loop.remove_reader(self._socket)
 
     def problem(self) -> str:
+        """Why nothing is received, as far as this end knows."""
         if self._anything_arrived:
             return "packets arrived, none of them from this autopilot; check its id (MAV_SYS_ID)"
         return "nothing arrived; is the autopilot running, and does it send to this port?"
@@ -158,17 +172,12 @@ class UdpLink:
 
     def _read_waiting(self) -> None:
         read_bytes = 0
-        for _ in range(DATAGRAMS_PER_WAKE_UP):
+        receive = partial(self._socket.recvmsg, DATAGRAM_BYTES, _ANCILLARY_BYTES)
+        for data, ancillary, _, sender in read_waiting(receive, DATAGRAMS_PER_WAKE_UP):
+            self._datagram(data, _arrival_s(ancillary), sender)
+            read_bytes += len(data)
             if read_bytes > BYTES_PER_WAKE_UP:
                 return
-            try:
-                data, ancillary, _, sender = self._socket.recvmsg(DATAGRAM_BYTES, _ANCILLARY_BYTES)
-            except BlockingIOError:
-                return
-            except OSError:
-                continue  # ICMP error for a datagram sent earlier
-            read_bytes += len(data)
-            self._datagram(data, _arrival_s(ancillary), sender)
 
     def _datagram(self, data: bytes, received_s: float, sender: tuple[str, int]) -> None:
         self._anything_arrived = True
@@ -183,11 +192,8 @@ class UdpLink:
 
 
 def _bound_udp_socket(host: str, port: int) -> socket.socket:
-    name = encoded_host(host)
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(name, port, type=socket.SOCK_DGRAM)[0]
-    except socket.gaierror as error:
-        raise LinkError(f'"{host}" is not an address of this machine; use 0.0.0.0 for all of them') from error
+    hint = f'"{host}" is not an address of this machine; use 0.0.0.0 for all of them'
+    family, kind, protocol, address = resolve(host, port, hint)
     udp = socket.socket(family, kind, protocol)
     try:
         udp.bind(address)
@@ -231,19 +237,10 @@ class ByteStream:
     idle_bytes: int  # it counts as free up to this number of unsent bytes
 
 
-class ByteLine(Protocol):
-    """Opens a stream. `name` is for messages."""
-
-    name: str
-
-    async def open(self) -> ByteStream:
-        """An open stream. Raises OSError."""
-
-
 class StreamLink:
     """One byte stream to the autopilot, opened again until it succeeds."""
 
-    def __init__(self, line: ByteLine, received: Received, all_read: AllRead) -> None:
+    def __init__(self, line: TcpConnection | SerialLine, received: Received, all_read: AllRead) -> None:
         self._line = line
         self._received, self._all_read = received, all_read
         self._stream: ByteStream | None = None
@@ -252,19 +249,19 @@ class StreamLink:
         self._problem = ""
 
     def send(self, data: bytes) -> None:
-        if not self._stream or self._rest:
-            return
-        try:
-            if _waiting_bytes(self._stream.fd) <= BACKLOG_BYTES:
-                self._write(data)
-        except OSError as error:
-            self._lose(error.strerror or str(error))
+        """Hand one message to the operating system, or drop it. Never raises, never blocks."""
+        self._write_behind(BACKLOG_BYTES, data)
 
     def offer(self, data: bytes) -> bool:
+        """Like `send`, for data that may wait: only while the link is nearly free. Returns whether it was sent."""
+        return self._stream is not None and self._write_behind(self._stream.idle_bytes, data)
+
+    def _write_behind(self, most_bytes: int, data: bytes) -> bool:
+        """Write where at most so many unsent bytes wait. Returns whether it was written."""
         if not self._stream or self._rest:
             return False
         try:
-            if _waiting_bytes(self._stream.fd) > self._stream.idle_bytes:
+            if _waiting_bytes(self._stream.fd) > most_bytes:
                 return False
             self._write(data)
         except OSError as error:
@@ -273,6 +270,7 @@ class StreamLink:
         return True
 
     async def run(self) -> None:
+        """Receive until cancelled; a lost connection is opened again."""
         delay_s = RECONNECT_FIRST_S
         try:
             while True:

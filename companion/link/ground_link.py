@@ -13,9 +13,10 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NoReturn
 
-from companion.link.byte_links import LinkError, encoded_host
+from companion.link.byte_links import LinkError, read_waiting, resolve
 from companion.mavlink.ground_station import GroundStationFilter
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
@@ -90,17 +91,11 @@ class GroundStationLink:
                 return
 
     def _readable(self) -> None:
-        for _ in range(DATAGRAMS_PER_WAKE_UP):
-            try:
-                data, sender = self._socket.recvfrom(READ_BYTES)
-            except BlockingIOError:
-                return
-            except OSError:
-                continue  # ICMP error for a datagram sent earlier
-            if sender[:2] != self._address[:2]:
+        for data, sender in read_waiting(partial(self._socket.recvfrom, READ_BYTES), DATAGRAMS_PER_WAKE_UP):
+            if sender[:2] == self._address[:2]:
+                self._take(data, time.monotonic())
+            else:
                 self._reject(Code.GROUND_STATION_ADDRESS)
-                continue
-            self._take(data, time.monotonic())
 
     def _take(self, data: bytes, now_s: float) -> None:
         for packet in self._filter.admit(data, self._phase()):
@@ -128,15 +123,10 @@ class GroundStationLink:
 def _socket_towards(endpoint: str) -> tuple[socket.socket, tuple[str, int]]:
     """A UDP socket on its own port, and the address of the ground station."""
     host, _, port = endpoint.removeprefix("udpout:").rpartition(":")
-    name = encoded_host(host)
     if not 0 < int(port) <= 65535:
         raise LinkError(f"port {port}, expected 1 to 65535")
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(name, int(port), type=socket.SOCK_DGRAM)[0]
-    except socket.gaierror as error:
-        raise LinkError(
-            f'no address found for "{host}"; give the ground station\'s IP address, like 192.168.1.50'
-        ) from error
+    hint = f'no address found for "{host}"; give the ground station\'s IP address, like 192.168.1.50'
+    family, kind, protocol, address = resolve(host, int(port), hint)
     udp = socket.socket(family, kind, protocol)
     udp.setblocking(False)
     udp.bind(("", 0))

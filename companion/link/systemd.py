@@ -1,4 +1,8 @@
-"""sd_notify(3): reports to systemd that the agent is ready, alive and stopping, and its status line."""
+"""systemd: sd_notify(3) says that the agent is ready, alive and stopping; its journal gets log lines with fields.
+
+The journal's native protocol (systemd.io/JOURNAL_NATIVE_PROTOCOL) is one datagram for each entry, so no library is needed. It
+is used where standard error leads to the journal; a line that the journal does not take goes to standard error.
+"""
 
 from __future__ import annotations
 

@@ -92,12 +92,12 @@ ANSWERS: dict[int, tuple[type, ...]] = {
 }
 
 
-def command_long(system_id: int, command: int, *parameters: float) -> MavlinkMessage:
-    """COMMAND_LONG to the autopilot component; parameters left out are zero.
+def command_long(system_id: int, command: int, *parameters: float, param7: float = 0.0) -> MavlinkMessage:
+    """COMMAND_LONG to the autopilot component. `parameters` are the first ones; those left out are zero.
 
     It addresses one system and component: PX4 silently ignores commands to 0/0.
     """
-    padded = [float(p) for p in parameters] + [0.0] * (7 - len(parameters))
+    padded = [float(p) for p in parameters] + [0.0] * (6 - len(parameters)) + [param7]
     return mavlink.MAVLink_command_long_message(system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, command, 0, *padded)
 
 

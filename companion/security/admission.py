@@ -1,4 +1,10 @@
-"""X.509 certificates of a fleet: EC P-256, one authority that signs all participants. No files, no clocks."""
+"""What a fleet's authority signs: the certificates of participants, and the list of those that the fleet admits.
+
+Certificates are X.509 with EC P-256. The admission list has the participants that a fleet admits and those that it has
+revoked. Its file is a JSON object with the list as text (`payload`) and an ECDSA signature over exactly this text. There is one
+form of a list in bytes: a file with any other byte is refused. A list is JSON and a certificate is DER, so that no signature of
+the authority is good for both. No files, no clocks.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +29,10 @@ from companion.types.values import FleetName, printable
 AUTHORITY_DAYS = 3650
 BACKDATED = timedelta(hours=1)  # so that a board whose clock is a little slow accepts a new certificate
 HASH = hashes.SHA256()
+KEY_USAGES = (
+    "digital_signature", "content_commitment", "key_encipherment", "data_encipherment", "key_agreement", "key_cert_sign",
+    "crl_sign", "encipher_only", "decipher_only",
+)  # fmt: skip
 UNUSABLE = (
     ValueError,
     TypeError,
@@ -42,7 +52,7 @@ def new_key() -> ec.EllipticCurvePrivateKey:
 def authority_certificate(fleet: str, key: ec.EllipticCurvePrivateKey, now: datetime) -> x509.Certificate:
     """The self-signed certificate of a fleet's authority, valid for AUTHORITY_DAYS."""
     subject = _subject(f"{fleet} authority", fleet)
-    usage = _key_usage(digital_signature=True, key_cert_sign=True, crl_sign=True)
+    usage = _key_usage("digital_signature", "key_cert_sign", "crl_sign")
     return (
         _builder(subject, subject, key.public_key(), now, AUTHORITY_DAYS)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
@@ -68,7 +78,7 @@ def participant_certificate(
     return (
         _builder(_subject(str(name), organization(authority)), authority.subject, public_key, now, days)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(_key_usage(digital_signature=True), critical=True)
+        .add_extension(_key_usage("digital_signature"), critical=True)
         .add_extension(usages, critical=False)
         .add_extension(x509.SubjectAlternativeName([x509.DNSName(str(name))]), critical=False)
         .add_extension(signer, critical=False)
@@ -184,18 +194,9 @@ def _builder(
     )
 
 
-def _key_usage(*, digital_signature: bool, key_cert_sign: bool = False, crl_sign: bool = False) -> x509.KeyUsage:
-    return x509.KeyUsage(
-        digital_signature=digital_signature,
-        key_cert_sign=key_cert_sign,
-        crl_sign=crl_sign,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        encipher_only=False,
-        decipher_only=False,
-    )
+def _key_usage(*allowed: str) -> x509.KeyUsage:
+    """A key usage that allows these and nothing else."""
+    return x509.KeyUsage(**{usage: usage in allowed for usage in KEY_USAGES})
 
 
 MAX_LIST_BYTES = 256 * 1024

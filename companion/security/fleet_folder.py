@@ -1,4 +1,12 @@
-"""The vehicle file as it goes to its board: with the identity, and with TLS instead of TCP between agents. Text to text."""
+"""The folder that `companion init` wrote, and the folders in it that `companion provision` adds.
+
+- DIR/fleet.yaml, DIR/vehicle-N.yaml: the files to edit.
+- DIR/authority/: authority.pem, private.key, admitted.json; never copied.
+- DIR/copy/NAME/: what goes to the computer of one participant. Users other than root may read all but the keys there: the
+  agent gets its key from systemd. The vehicle file is changed on its way there, text to text: it names the identity, and its
+  endpoints have TLS instead of TCP.
+- DIR/retired/NAME-TIME/: what copy/ held before a renewal or a revocation.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +26,8 @@ from companion.config.vehicle import load_agent
 from companion.security.identity import ADMITTED_FILE, PRIVATE, make_folder, remove_parts, write_file
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name
 
-IDENTITY_FOLDER = "identity"  # beside the vehicle file
-IDENTITY_LINE = f"identity: {IDENTITY_FOLDER}"
+IDENTITY = "identity"  # the folder, beside the vehicle file
+IDENTITY_LINE = f"identity: {IDENTITY}"
 COMMENT = "# key and certificate; from here on only admitted participants connect"
 TOP_LEVEL = re.compile(r"(?P<key>[A-Za-z_][\w]*)\s*:")
 TAIL = re.compile(r"(?:^|\s+)#.*|\s*$", re.DOTALL)  # a comment and the end of the line
@@ -79,7 +87,7 @@ def _wanted(content: Any) -> Any:
     if not isinstance(content, dict):
         raise BoardFileError("has no keys")
     zenoh = content.get("zenoh")
-    changed = content | {"identity": IDENTITY_FOLDER}
+    changed = content | {"identity": IDENTITY}
     if isinstance(zenoh, dict):
         changed["zenoh"] = {key: _endpoints(value) for key, value in zenoh.items()}
     return changed
@@ -92,7 +100,6 @@ def _endpoints(value: Any) -> Any:
 
 
 FLEET_FILE, MAVLINK_KEY_FILE = "fleet.yaml", "mavlink.key"
-IDENTITY = "identity"
 MAVLINK_KEY_BYTES = 32
 
 

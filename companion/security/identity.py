@@ -1,4 +1,9 @@
-"""Files and folders that are complete or absent, with permissions that do not depend on the umask."""
+"""Folders of keys: of one participant (`Identity`) and of a fleet's authority (`Authority`), and how their files are written.
+
+A participant's folder has its key and certificate, the certificate of the authority and the admission list; that of the
+authority its private key, its certificate and the newest list. Files and folders are complete or absent, with permissions that
+do not depend on the umask.
+"""
 
 from __future__ import annotations
 
@@ -153,7 +158,7 @@ def load_identity(folder: Path, now: datetime, credentials: Path | None = None) 
     A credential identity.key is used instead of private.key. Raises IdentityError for what other participants would refuse.
     """
     authority_file, certificate_file = folder / AUTHORITY_FILE, folder / CERTIFICATE_FILE
-    authority, certificate = _certificate(authority_file), _certificate(certificate_file)
+    authority, certificate = (_certificate(file, _content(file)[0]) for file in (authority_file, certificate_file))
     key_file = _key_file(folder, credentials)
     _check_key(key_file, is_credential=key_file.parent != folder, certificate=certificate, shown_in=certificate_file)
     if not issued_by(certificate, authority):
@@ -180,25 +185,38 @@ def load_identity(folder: Path, now: datetime, credentials: Path | None = None) 
 def read_admitted(file: Path, authority: x509.Certificate) -> Admitted:
     """The admission list in a file. Raises IdentityError."""
     try:
-        return verify(_content(file, MAX_LIST_BYTES)[0], authority)
+        return verify(_content(file, most_bytes=MAX_LIST_BYTES)[0], authority)
     except AdmissionError as error:
         raise IdentityError(file, str(error)) from error
 
 
-def _content(file: Path, most_bytes: int = MAX_PEM_BYTES) -> tuple[bytes, os.stat_result]:
+def _content(
+    file: Path, remedy: str = f"check the path and its permissions, or {COPY_AGAIN}", most_bytes: int = MAX_PEM_BYTES
+) -> tuple[bytes, os.stat_result]:
     try:
         return read_regular(file, most_bytes)
     except OSError as error:
-        raise IdentityError(
-            file, f"cannot be read: {error.strerror}; check the path and its permissions, or {COPY_AGAIN}"
-        ) from error
+        raise IdentityError(file, f"cannot be read: {error.strerror}; {remedy}") from error
 
 
-def _certificate(file: Path) -> x509.Certificate:
+def _certificate(file: Path, content: bytes, remedy: str = COPY_AGAIN) -> x509.Certificate:
     try:
-        return read_certificate(_content(file)[0])
+        return read_certificate(content)
     except ValueError as error:
-        raise IdentityError(file, f"{error}; {COPY_AGAIN}") from error
+        raise IdentityError(file, f"{error}; {remedy}") from error
+
+
+def _key(
+    file: Path, content: bytes, certificate: x509.Certificate, shown_in: Path | str, remedy: str = COPY_AGAIN
+) -> ec.EllipticCurvePrivateKey:
+    """The private key in this content, which must be that of the certificate."""
+    try:
+        key = read_key(content)
+    except ValueError as error:
+        raise IdentityError(file, f"{error}; {remedy}") from error
+    if key.public_key() != certificate.public_key():
+        raise IdentityError(file, f"is not the key of {shown_in}; {remedy}")
+    return key
 
 
 def _key_file(folder: Path, credentials: Path | None) -> Path:
@@ -215,12 +233,7 @@ def _check_key(file: Path, *, is_credential: bool, certificate: x509.Certificate
     content, state = _content(file)
     if not is_credential and state.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise IdentityError(file, f"other users of this computer have access to the key; chmod 600 {file}")
-    try:
-        key = read_key(content)
-    except ValueError as error:
-        raise IdentityError(file, f"{error}; {COPY_AGAIN}") from error
-    if key.public_key() != certificate.public_key():
-        raise IdentityError(file, f"is not the key of {shown_in}; {COPY_AGAIN}")
+    _key(file, content, certificate, shown_in)
 
 
 def _name(file: Path, certificate: x509.Certificate, authority: x509.Certificate) -> tuple[ParticipantName, str]:
@@ -273,13 +286,7 @@ class Authority:
     def key(self) -> ec.EllipticCurvePrivateKey:
         """The private key. Raises ConfigError."""
         file = self.folder / KEY_FILE
-        try:
-            key = read_key(_authority_content(file))
-        except ValueError as error:
-            raise ConfigError(file, "", f"{error}; {RESTORE}") from error
-        if key.public_key() != self.certificate.public_key():
-            raise ConfigError(file, "", f"is not the key of {AUTHORITY_FILE}; {RESTORE}")
-        return key
+        return _key(file, _content(file, RESTORE)[0], self.certificate, AUTHORITY_FILE, RESTORE)
 
 
 def create_authority(folder: Path, fleet: str, now: datetime) -> None:
@@ -296,10 +303,7 @@ def create_authority(folder: Path, fleet: str, now: datetime) -> None:
 def open_authority(folder: Path) -> Authority:
     """The authority in a folder, without its private key. Raises ConfigError."""
     file = folder / AUTHORITY_FILE
-    try:
-        certificate = read_certificate(_authority_content(file))
-    except ValueError as error:
-        raise ConfigError(file, "", f"{error}; {RESTORE}") from error
+    certificate = _certificate(file, _content(file, RESTORE)[0], RESTORE)
     return Authority(folder, certificate, read_admitted(folder / ADMITTED_FILE, certificate))
 
 
@@ -309,10 +313,3 @@ def signed(authority: Authority, key: ec.EllipticCurvePrivateKey, admitted: Admi
         return sign(admitted, key, authority.certificate)
     except AdmissionError as error:
         raise ConfigError(authority.folder / ADMITTED_FILE, "", f"the new list {error}") from error
-
-
-def _authority_content(file: Path) -> bytes:
-    try:
-        return read_regular(file, MAX_PEM_BYTES)[0]
-    except OSError as error:
-        raise ConfigError(file, "", f"cannot be read: {error.strerror}; {RESTORE}") from error

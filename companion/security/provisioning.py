@@ -1,4 +1,8 @@
-"""New identities and the list that admits them, in memory: nothing is written here."""
+"""What `companion provision` does: new, renewed and revoked participants of a fleet.
+
+All keys, certificates and the new list are made before anything is written. Then the folders in copy/ come first, the
+authority's list second and its copies last. The same command completes a run that was killed in between.
+"""
 
 from __future__ import annotations
 

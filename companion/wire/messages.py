@@ -1,6 +1,8 @@
-"""Wire version: the first byte of every message. MessagePack follows.
+"""The messages of vehicles and ground but for peer packets: reports, commands, replies, targets, traffic. MessagePack maps.
 
-So a receiver can distinguish another version from a damaged message, whatever the format of that version.
+The first byte of every message is the wire version; MessagePack follows. So a receiver can distinguish another version from a
+damaged message, whatever the format of that version. Maps are easily written in any language, as a sender of targets or a
+receiver of ADS-B needs it.
 """
 
 from __future__ import annotations

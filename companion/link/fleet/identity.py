@@ -1,4 +1,4 @@
-"""The identity of this agent or ground program, with the newest admission list that this computer holds."""
+"""The identity of this agent or ground program, with the newest admission list: from this computer and over the network."""
 
 from __future__ import annotations
 

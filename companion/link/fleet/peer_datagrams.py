@@ -1,7 +1,14 @@
-"""Peer packets as UDP datagrams, for radio links that lose packets.
+"""Peer packets as UDP datagrams, for radio links that lose packets, and their authentication.
 
 In a TCP stream every later state waits until a lost one was sent again, which takes longer than a state is of use. A lost
 datagram costs only itself.
+
+Authentication is one tag for each receiver, with a key that only the sender and this receiver know. A key for the whole fleet
+would let every vehicle speak for every other one. The keys are random, new with each start of the sender, and reach each
+receiver over its own authenticated Zenoh link (`Pairing`).
+
+A datagram: MARK, sender id, number of tags, the tags (receiver id, 8 bytes), then the peer packet. A tag is the keyed
+BLAKE2s (RFC 7693) of sender id and peer packet, 8 bytes long: a quarter of the time of an HMAC-SHA256.
 """
 
 from __future__ import annotations
@@ -12,6 +19,7 @@ import hmac
 import secrets
 import socket
 from collections.abc import Callable, Collection
+from functools import partial
 from ipaddress import ip_address
 from math import inf
 
@@ -19,7 +27,7 @@ import zenoh
 
 from companion.config.fleet import FleetConfig
 from companion.config.vehicle import DatagramEndpoints
-from companion.link.byte_links import LinkError, encoded_host, explain
+from companion.link.byte_links import LinkError, explain, read_waiting, resolve
 from companion.link.fleet.zenoh_session import drain
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
@@ -62,13 +70,7 @@ class PeerDatagrams:
     def receive(self, now_s: float) -> tuple[ReceivedPeerPacket, ...]:
         """All peer packets since the last call. Never blocks."""
         packets = []
-        for _ in range(self._read_in_a_tick):
-            try:
-                data = self._socket.recv(READ_BYTES)
-            except BlockingIOError:
-                break
-            except OSError:
-                continue  # ICMP error for a datagram sent earlier
+        for data in read_waiting(partial(self._socket.recv, READ_BYTES), self._read_in_a_tick):
             if data == self._published:
                 continue  # the own broadcast
             if packet := self._packet(data):
@@ -145,13 +147,10 @@ def _opened(address: Address, group: str | None) -> socket.socket:
 
 def _resolved(endpoint: str) -> Address:
     host, _, port = endpoint.rpartition(":")
-    name = encoded_host(host)
     if not 0 < int(port) <= 65535:
         raise LinkError(f"port {port} does not exist, expected 1 to 65535")
-    try:
-        address = socket.getaddrinfo(name, int(port), socket.AF_INET, socket.SOCK_DGRAM)[0][4]
-    except socket.gaierror as error:
-        raise LinkError(f'"{host}" has no address; expected one like 192.168.1.11') from error
+    hint = f'"{host}" has no address; expected one like 192.168.1.11'
+    *_, address = resolve(host, int(port), hint, socket.AF_INET)
     return str(address[0]), int(address[1])
 
 

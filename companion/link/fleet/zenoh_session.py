@@ -1,4 +1,8 @@
-"""The Zenoh session of a process: peer mode, explicit endpoints, no multicast scouting."""
+"""The Zenoh session of a process: peer mode, explicit endpoints, no multicast scouting; with identities its access control.
+
+A rule of the access control names the common name of a certificate, so a key always comes from the participant that it belongs
+to. Whatever no rule permits is denied: queries, liveliness tokens, and names that are not admitted.
+"""
 
 from __future__ import annotations
 

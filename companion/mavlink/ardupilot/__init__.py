@@ -145,7 +145,7 @@ def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:
             return command_long(system_id, mavlink.MAV_CMD_DO_SET_MODE, flag, MODES[mode])
         case TakeOff(_, height_m):
             # Param 7 is the height above home, the position of arming.
-            return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height_m)
+            return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, param7=height_m)
         case _:
             return common_command(request, system_id)
 

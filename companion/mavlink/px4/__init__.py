@@ -113,7 +113,7 @@ def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:
             )
         case TakeOff(altitude_amsl_m):
             # NaN: at the present position and heading. Param 7 is above mean sea level.
-            return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan, nan, nan, altitude_amsl_m)
+            return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan, nan, nan, param7=altitude_amsl_m)
         case _:
             return common_command(request, system_id)
 
