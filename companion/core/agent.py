@@ -121,9 +121,9 @@ class Agent:
         setpoint = self._setpoint.step(now_s, vehicle, before, flight, consensus, guidance, safety, inbox.traffic)
         self._flight, self._last_guidance, self._last_safety = flight, guidance, safety
         self._last_setpoint_s, self._last_separation = setpoint.sent_s, setpoint.separation
-        hears_leader = consensus.leader_beacon is not None
+        hears_leader = consensus.lead.beacon is not None
         self._distant = self._distant_peers.step(
-            now_s, vehicle, flight, guidance.slot, hears_leader, consensus.neighbour_ids, consensus.newest
+            now_s, vehicle, flight, guidance.slot, hears_leader, consensus.neighbours.ids, consensus.peers.known
         )
         requests = perception.requests + flight.requests + parameter_requests
         return Decision(

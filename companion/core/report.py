@@ -106,13 +106,13 @@ class ReportStage:
         if safety.flags & POSITION_WRONG or vehicle.position_time_s == -inf:
             return None
         self._sequence += 1
-        identity, beacon = self._identity, consensus.leader_beacon
-        leads = consensus.role is LEADER and flight.phase is FORMATION
+        identity, beacon = self._identity, consensus.lead.beacon
+        leads = consensus.lead.role is LEADER and flight.phase is FORMATION
         rft = setpoint.rft
         return PeerPacket(
             sender=Sender(identity.vehicle_id, identity.session, self._sequence, identity.formation_hash),
             phase=flight.phase,
-            role=consensus.role,
+            role=consensus.lead.role,
             motion=Motion(
                 position_enu_m=vehicle.position_enu_m,
                 velocity_enu_m_s=vehicle.velocity_enu_m_s,
@@ -141,9 +141,9 @@ class ReportStage:
         setpoint: Setpoint,
     ) -> Status:
         identity, vehicle, reference = self._identity, perception.vehicle, guidance.reference
-        peers = consensus.peers
+        peers = consensus.peers.packets
         rejected = sum_counts(
-            (self.refused, setpoint.rejected, perception.rejected, consensus.rejected, guidance.rejected)
+            (self.refused, setpoint.rejected, perception.rejected, consensus.peers.rejected, guidance.rejected)
         )
         return Status(
             vehicle_id=identity.vehicle_id,
@@ -160,18 +160,18 @@ class ReportStage:
             state_age_s=min(NO_STATE_AGE_S, now_s - vehicle.position_time_s),
             hover_thrust_norm=setpoint.hover_thrust_norm,
             disturbance_enu_m_s2=setpoint.disturbance_enu_m_s2,
-            role=consensus.role,
-            epoch=consensus.epoch,
+            role=consensus.lead.role,
+            epoch=consensus.lead.term[0],
             prc=consensus.prc,
-            leader_beacon=consensus.leader_beacon,
-            leader_beacon_age_s=consensus.leader_beacon_age_s if consensus.leader_beacon else None,
-            neighbours=consensus.neighbour_ids,
+            leader_beacon=consensus.lead.beacon,
+            leader_beacon_age_s=consensus.lead.beacon_age_s if consensus.lead.beacon else None,
+            neighbours=consensus.neighbours.ids,
             slot=guidance.plan_slot,
             reference_enu_m=reference.position_enu_m if reference else None,
             flags=tuple(sorted(safety.flags)),
             rejected=rejected,
             last_event=self._last_event,
-            reference_s=consensus.reference_s,
+            reference_s=consensus.lead.reference_s,
             reference=guidance.held_reference,
             target_age_s=guidance.target_age_s,
             refuses_return=self._refusal_of_return(vehicle, flight, consensus),
@@ -185,13 +185,13 @@ class ReportStage:
             heading=guidance.heading,
             largest_step_deg=setpoint.largest_step_deg,
             separation=setpoint.separation,
-            weights=used_weights(self._law, consensus.role is LEADER, consensus.neighbour_prcs),
-            neighbour_ages_s=tuple([now_s - consensus.fresh[i].measured_s for i in consensus.neighbour_ids]),
+            weights=used_weights(self._law, consensus.lead.role is LEADER, consensus.neighbours.prcs),
+            neighbour_ages_s=tuple([now_s - consensus.peers.fresh[i].measured_s for i in consensus.neighbours.ids]),
         )
 
     def _refusal_of_return(self, vehicle: VehicleState, flight: Flight, consensus: Consensus) -> Notice | None:
         """So that the ground can ask all vehicles before it commands one."""
         if flight.phase not in RULES[CommandName.RETURN].allowed:
             return None
-        checks, homes_enu_m = self._checks, consensus.ground_position_enu_m
-        return refusal_of_return(checks.own_id, checks.separation_m, vehicle, consensus.peers, homes_enu_m)
+        checks, homes_enu_m = self._checks, consensus.peers.ground_position_enu_m
+        return refusal_of_return(checks.own_id, checks.separation_m, vehicle, consensus.peers.packets, homes_enu_m)

@@ -184,22 +184,22 @@ def decision_record(decision: Decision, law: FormationLaw) -> DecisionRecord:
     )
     target, separation, reference, now_s = setpoint.target, setpoint.separation, guidance.reference, decision.now_s
     nearest, battery_percent = separation.nearest, decision.perception.fitness.battery_percent
-    role, leader = consensus.role, consensus.leader_beacon
-    ids, located = consensus.neighbour_ids, vehicle.position_time_s > -inf
+    role, leader = consensus.lead.role, consensus.lead.beacon
+    ids, located = consensus.neighbours.ids, vehicle.position_time_s > -inf
     return DecisionRecord(
         now_s=round(now_s, 6),
         phase=decision.flight.phase.value,
         role=role.value,
         leader_id=leader.leader_id if leader else None,
-        epoch=consensus.epoch,
+        epoch=consensus.lead.term[0],
         prc=consensus.prc,
         position_enu_m=rounded(vehicle.position_enu_m, LENGTH) if located else None,
         velocity_enu_m_s=rounded(vehicle.velocity_enu_m_s, VELOCITY) if located else None,
         slot_offset_enu_m=rounded(guidance.slot.position_enu_m, 3),
         reference_enu_m=rounded(reference.position_enu_m, 3) if reference and role is Role.LEADER else None,
         neighbours=ids,
-        weights=tuple([round(w, 4) for w in used_weights(law, role is Role.LEADER, consensus.neighbour_prcs)]),
-        peer_ages_s=tuple([round(now_s - consensus.newest[i].measured_s, 3) for i in ids]),
+        weights=tuple([round(w, 4) for w in used_weights(law, role is Role.LEADER, consensus.neighbours.prcs)]),
+        peer_ages_s=tuple([round(now_s - consensus.peers.known[i].measured_s, 3) for i in ids]),
         acceleration_enu_m_s2=rounded(setpoint.acceleration_enu_m_s2, ACCELERATION),
         roll_deg=round(degrees(target.roll_rad), 1) if target else None,
         pitch_deg=round(degrees(target.pitch_rad), 1) if target else None,

@@ -24,7 +24,7 @@ BEACON_MAX_AGE_S = 0.25
 
 
 def leaders_in(around: dict[int, Consensus]) -> list[int]:
-    return [i for i, what in around.items() if what.role is Role.LEADER]
+    return [i for i, what in around.items() if what.lead.role is Role.LEADER]
 
 
 LIMITS = FleetLimits(25.0, 8.0, (200.0, 200.0, 55.0))
@@ -83,10 +83,12 @@ class CooperatingFleet:
             if i not in self.dead
         }
         for i, what in around.items():
-            if what.leader_beacon is not None:
+            if what.lead.beacon is not None:
                 self._led.add(i)
             elif (
-                what.leaderless is HealthFlag.LEADER_LOST and i in self._led and self.phases[i] is FlightPhase.FORMATION
+                what.lead.leaderless is HealthFlag.LEADER_LOST
+                and i in self._led
+                and self.phases[i] is FlightPhase.FORMATION
             ):
                 self.phases[i] = FlightPhase.HOLD
         self.packets, self.forged = {i: self._packet(i, what) for i, what in around.items()}, {}
@@ -116,7 +118,7 @@ class CooperatingFleet:
                 formation_hash=42,
             ),
             phase=self.phases[vehicle_id],
-            role=what.role,
+            role=what.lead.role,
             motion=Motion(
                 position_enu_m=ZERO3,
                 velocity_enu_m_s=ZERO3,
@@ -124,7 +126,7 @@ class CooperatingFleet:
                 state_age_s=0.0,
                 sent_s=self.now_s,
             ),
-            leader=LeaderReport(prc=what.prc, beacon=what.leader_beacon),
+            leader=LeaderReport(prc=what.prc, beacon=what.lead.beacon),
             slot=FlownSlot(ZERO3),
         )
 

@@ -237,7 +237,7 @@ class SeparationFlight:
                 self.now_s,
                 state,
                 body.slot if body.phase is FlightPhase.FORMATION else None,
-                table.newest,
+                table.known,
                 table.fresh(self.now_s),
                 wanted,
                 self._commanded[i],

@@ -163,7 +163,7 @@ class Decisions:
         """The largest jump of what a vehicle in formation steers to: its own reference, or the mean of its neighbours."""
         jumps = []
         for a, b in self._in_formation(from_s, until_s):
-            before, after = (target(law, d.consensus.neighbours, d.guidance.reference) for d in (a, b))
+            before, after = (target(law, d.consensus.neighbours.states, d.guidance.reference) for d in (a, b))
             if before and after:
                 jumps.append(_jump_m(before, after, b.now_s - a.now_s))
         return max(jumps)

@@ -201,13 +201,13 @@ class CommandDispatcher:
         self, name: CommandName, perception: Perception, consensus: Consensus, guidance: Guidance
     ) -> tuple[Notice | None, Notice | None]:
         """(refusal, warning) of a command that is otherwise possible."""
-        checks, vehicle, peers = self._checks, perception.vehicle, consensus.peers
+        checks, vehicle, peers = self._checks, perception.vehicle, consensus.peers.packets
         if name is CommandName.RETURN:
-            homes_enu_m = consensus.ground_position_enu_m
+            homes_enu_m = consensus.peers.ground_position_enu_m
             return refusal_of_return(checks.own_id, checks.separation_m, vehicle, peers, homes_enu_m), None
         if name is CommandName.FORM and (refusal := _refusal_to_form(perception, consensus, guidance)):
             return refusal, None
-        refusal, warning = checks.judge(name, vehicle, guidance.slot, peers, consensus.role)
+        refusal, warning = checks.judge(name, vehicle, guidance.slot, peers, consensus.lead.role)
         if name is CommandName.FORM and not refusal:
             refusal, warning = guidance.refusal_to_enter, _both(warning, guidance.warning_to_enter)
         return refusal, warning
@@ -216,7 +216,7 @@ class CommandDispatcher:
 def _refusal_to_form(perception: Perception, consensus: Consensus, guidance: Guidance) -> Notice | None:
     """The first of: preflight audit, and of a leader a reference that differs from the fleet's."""
     refusal = perception.fitness.refusal
-    if not refusal and consensus.role is Role.LEADER:
+    if not refusal and consensus.lead.role is Role.LEADER:
         refusal = guidance.refusal_to_lead
     return refusal
 

@@ -235,7 +235,7 @@ class PeerTable:
         self._streams: dict[int, Stream] = {}
         self._distant: frozenset[int] = frozenset()
         self._distant_s: dict[int, float] = {}  # when each of those was last distant
-        self.newest: dict[int, PeerState] = {}  # of each peer, of any age
+        self.known: dict[int, PeerState] = {}  # the newest state of each peer, of any age
         self.ground_position_enu_m: dict[int, Vector3] = {}  # last position of each peer on the ground
         self.rejected: Counter[str] = Counter()
         self.duplicate_id_s = -inf  # when a packet of a second agent with a known id last came
@@ -251,7 +251,7 @@ class PeerTable:
         """Check and take these packets; of one with a beacon of a larger epoch only the motion."""
         for received in packets:
             packet = received.packet
-            before = self.newest.get(packet.sender.vehicle_id)
+            before = self.known.get(packet.sender.vehicle_id)
             known = before.packet.slot if before is not None else None
             code = refusal_of_claims(packet, self._fleet) or refusal_of_motion(packet, self._limits, known)
             code = code or self._refusal_of_order(received, before)
@@ -274,11 +274,11 @@ class PeerTable:
         term = beacon.term if beacon is not None else (0, 0)
         if packet.phase in ON_GROUND and before is not None and before.packet.phase in ON_GROUND:
             self.ground_position_enu_m[vehicle_id] = packet.motion.position_enu_m
-        self.newest[vehicle_id] = PeerState(packet, clock.received_s, clock.least_apart_s, measured_s, term)
+        self.known[vehicle_id] = PeerState(packet, clock.received_s, clock.least_apart_s, measured_s, term)
 
     def fresh(self, now_s: float) -> dict[int, PeerState]:
         """Peers whose state is not older than the configured age (`peers.max_age_s`), without the distant ones."""
-        fresh = {i: peer for i, peer in self.newest.items() if now_s - peer.measured_s <= self._max_age_s}
+        fresh = {i: peer for i, peer in self.known.items() if now_s - peer.measured_s <= self._max_age_s}
         if self._distant:
             for i in self._distant & fresh.keys():
                 del fresh[i]
@@ -289,7 +289,7 @@ class PeerTable:
         if not self._distant_s:
             return fresh
         return {
-            i: peer for i, peer in self.newest.items() if i in fresh or now_s - peer.measured_s <= self._age_limit_s(i)
+            i: peer for i, peer in self.known.items() if i in fresh or now_s - peer.measured_s <= self._age_limit_s(i)
         }
 
     def _age_limit_s(self, vehicle_id: int) -> float:

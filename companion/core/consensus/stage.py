@@ -30,41 +30,62 @@ EPOCHS_PER_S = 1.0  # changes of leader that may be missed in time
 FORMING_S = 2.0  # so long a formation may take to come together
 
 
-class Consensus(Struct, frozen=True, gc=False):
-    """Own role, PrC and leader beacon of this tick, the neighbours with their PrCs and states, and all peers in time."""
+class LeadView(Struct, frozen=True, gc=False):
+    """The own role and term, and what this vehicle knows of its leader.
+
+    `beacon` is the one to pass on, None without a fresh leader. `heading` is that of the formation as peers report it, None
+    where this vehicle decides it. `reference_s` is mission time, as far as this vehicle knows: how far the fleet is in the RFT.
+    """
 
     role: Role
-    epoch: int
-    reference_s: float  # mission time: how far into the RFT the fleet is, as far as this vehicle knows
-    prc: int
-    leader_beacon: LeaderBeacon | None  # None without a fresh leader
-    leader_beacon_age_s: float
+    term: Term
+    beacon: LeaderBeacon | None
+    beacon_age_s: float
     leaderless: (
         HealthFlag | None
     )  # LEADER_AWAITED: followers hold formation among themselves; LEADER_LOST: for too long
-    neighbours: tuple[tuple[int, FormationState], ...]  # (PrC, state)
-    neighbour_ids: tuple[int, ...]
-    flying: tuple[PeerPacket, ...]  # present peers in a cooperating phase
-    heading: Heading | None  # of the formation, as peers report it; None where this vehicle decides it
-    term: Term = (0, 0)
-    fresh: Mapping[int, PeerState] = {}  # received at 50 Hz and in time: the law and the separation filter use these
-    present: Mapping[int, PeerState] = {}  # these, and the distant ones that are in time at 5 Hz
-    newest: Mapping[int, PeerState] = {}  # the last packet of every peer, however old
+    reference_s: float
+    heading: Heading | None
+
+
+class Neighbours(Struct, frozen=True, gc=False):
+    """The neighbours that the law follows: their ids, and (PrC, formation state) of each in the same order."""
+
+    ids: tuple[int, ...] = ()
+    states: tuple[tuple[int, FormationState], ...] = ()
+
+    @property
+    def prcs(self) -> list[int]:
+        """In the order of `ids`."""
+        return [prc for prc, _ in self.states]
+
+
+class PeerSets(Struct, frozen=True, gc=False):
+    """Peers by id, from all that were ever heard to those that count most; the theory of the stage has the sets."""
+
+    known: Mapping[int, PeerState] = {}  # the last packet of every peer, however old
+    present: Mapping[int, PeerState] = {}  # the fresh ones, and the distant ones that are in time at 5 Hz
+    fresh: Mapping[int, PeerState] = {}  # received at 50 Hz and in time: law and separation filter use these
+    flying: tuple[PeerPacket, ...] = ()  # the present ones in a cooperating phase
     ground_position_enu_m: Mapping[int, Vector3] = {}  # where each peer was last on the ground
     duplicate_id_s: float = -inf  # when a packet of a second agent with a known id last came
     rejected: Mapping[str, int] = {}
-    answers: tuple[tuple[int, Answer], ...] = ()
-    events: tuple[Notice, ...] = ()
 
     @property
-    def neighbour_prcs(self) -> list[int]:
-        """In the order of `neighbour_ids`."""
-        return [prc for prc, _ in self.neighbours]
-
-    @property
-    def peers(self) -> tuple[PeerPacket, ...]:
+    def packets(self) -> tuple[PeerPacket, ...]:
         """The packets of all present peers, in every phase."""
         return tuple([peer.packet for peer in self.present.values()])
+
+
+class Consensus(Struct, frozen=True, gc=False):
+    """Own PrC, leader, neighbours and peers of this tick; answers to commands and events."""
+
+    prc: int
+    lead: LeadView
+    neighbours: Neighbours
+    peers: PeerSets
+    answers: tuple[tuple[int, Answer], ...] = ()
+    events: tuple[Notice, ...] = ()
 
 
 def _states_of(
@@ -152,25 +173,28 @@ class ConsensusStage:
         heading = self._received_heading(role, in_formation, *newest)
         beacon, beacon_age_s, reference_s = self._beacon(now_s, role, in_formation, *newest)
         prc = next_prc(role is LEADER, [prc for prc, _ in neighbours], self._n)
-        return Consensus(  # Python is slow with more than 15 keywords
-            role,
-            term[0],
-            reference_s,
-            prc,
-            beacon,
-            beacon_age_s,
-            leaderless if beacon is None else None,
-            neighbours,
-            ids,
-            tuple(flying),
-            heading,
-            term=term,
-            fresh=fresh,
-            present=present,
-            newest=dict(self.peers.newest),
-            ground_position_enu_m=dict(self.peers.ground_position_enu_m),
-            duplicate_id_s=self.peers.duplicate_id_s,
-            rejected=self.peers.rejected,
+        table = self.peers
+        return Consensus(
+            prc=prc,
+            lead=LeadView(
+                role=role,
+                term=term,
+                beacon=beacon,
+                beacon_age_s=beacon_age_s,
+                leaderless=leaderless if beacon is None else None,
+                reference_s=reference_s,
+                heading=heading,
+            ),
+            neighbours=Neighbours(ids, neighbours),
+            peers=PeerSets(
+                known=dict(table.known),
+                present=present,
+                fresh=fresh,
+                flying=tuple(flying),
+                ground_position_enu_m=dict(table.ground_position_enu_m),
+                duplicate_id_s=table.duplicate_id_s,
+                rejected=table.rejected,
+            ),
             answers=answers,
             events=events + claimed,
         )

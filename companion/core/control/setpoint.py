@@ -118,8 +118,8 @@ class SetpointStage:
                     now_s,
                     vehicle,
                     guidance.slot if phase is FORMATION else None,
-                    consensus.newest,
-                    consensus.fresh,
+                    consensus.peers.known,
+                    consensus.peers.fresh,
                     self._wanted(vehicle, flight, consensus, guidance),
                     stream.flown_acceleration_enu_m_s2(now_s, self._flown_for_s),
                     stream.observer.disturbance_enu_m_s2,
@@ -165,7 +165,9 @@ class SetpointStage:
             return (0.0, 0.0, braking[2]) if flight.levels else braking
         slot = guidance.slot
         own = formation_state(vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot)
-        x, y, z = formation_acceleration(self._law, own, consensus.neighbours, guidance.reference, self._drag_1_s)
+        x, y, z = formation_acceleration(
+            self._law, own, consensus.neighbours.states, guidance.reference, self._drag_1_s
+        )
         dx, dy, dz = slot.acceleration_enu_m_s2
         if not self._law_flies_altitude:
             return (x + dx, y + dy, self._braking(vehicle)[2])
@@ -178,7 +180,7 @@ class SetpointStage:
         """The RFT for peers while the separation filter keeps this vehicle off its slot."""
         if not self._kept_off.intervened(now_s, self._removed_m_s2):
             return None
-        rft = target(self._law, consensus.neighbours, guidance.reference)
+        rft = target(self._law, consensus.neighbours.states, guidance.reference)
         if rft is None:
             return None
         position_enu_m = vehicle.position_enu_m

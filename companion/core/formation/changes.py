@@ -124,11 +124,11 @@ class Changes:
         flown_slots = tuple(sorted(self._slots.slots_enu_m.items()))
         rft_enu_m = self._rft_enu_m(vehicle, flight, consensus, slot)
         if flight.on_ground:
-            return self._slots.change_on_ground(change, consensus.flying, rft_enu_m, is_command, check)
-        in_formation = [other for other in consensus.flying if other.phase is FORMATION]
+            return self._slots.change_on_ground(change, consensus.peers.flying, rft_enu_m, is_command, check)
+        in_formation = [other for other in consensus.peers.flying if other.phase is FORMATION]
         alone = flight.phase is not FORMATION
         others = in_formation if alone else ()
-        answer = self._slots.change(change, consensus.reference_s, others, rft_enu_m, is_command, check)
+        answer = self._slots.change(change, consensus.lead.reference_s, others, rft_enu_m, is_command, check)
         if answer.notice.code is not Code.FORMATION_ACCEPTED or alone:
             return answer
         tracks = self._tracks_of_change(change, consensus, _fleet_enu_m(vehicle, slot))
@@ -140,7 +140,7 @@ class Changes:
     def _tracks_of_change(self, change: FormationChange, consensus: Consensus, fleet_enu_m: Vector3) -> Tracks:
         """Tracks of the vehicles in formation while they change it, about the RFT where this vehicle knows it."""
         before, after, references = self._slots.slots_enu_m, dict(change.slots_enu_m), self._references
-        ids = [i for i in members(self._own_id, consensus.flying) if i not in change.absent]
+        ids = [i for i in members(self._own_id, consensus.peers.flying) if i not in change.absent]
         tracks: dict[int, list[Vector3]] = {i: [] for i in ids}
         for k in range(TRACK_SAMPLES + 1):
             elapsed_s = change.lasts_s * k / TRACK_SAMPLES
@@ -152,7 +152,7 @@ class Changes:
     def _in_the_way(self, tracks: Tracks, consensus: Consensus) -> Notice | None:
         """The refusal by a vehicle that stays; slots that turn with the course are left to the separation filter."""
         limits = self._slots.limits
-        return None if limits.slots_turn else refusal_of_tracks(tracks, consensus.peers, limits.separation_m)
+        return None if limits.slots_turn else refusal_of_tracks(tracks, consensus.peers.packets, limits.separation_m)
 
     def _dear_refusal(
         self, change: FormationChange, airspace: Steps[Notice | None], consensus: Consensus
@@ -160,7 +160,7 @@ class Changes:
         """Airspace, and whether the law can fly the slots with the reference. What others fly already is adopted."""
         if refusal := (yield from airspace):
             return refusal
-        flown = any(other.slot.formation == change.number for other in consensus.flying)
+        flown = any(other.slot.formation == change.number for other in consensus.peers.flying)
         if self._references is None or flown:
             return None
         yield
@@ -175,13 +175,19 @@ class Changes:
             return refuse(Code.REFERENCE_NOT_ALLOWED, text)
         fleet_enu_m, slots_enu_m = _fleet_enu_m(vehicle, slot), self._slots.slots_enu_m
         answer = self._references.change(
-            change, consensus.reference_s, slots_enu_m, consensus.flying, fleet_enu_m, flight.in_formation, self._checks
+            change,
+            consensus.lead.reference_s,
+            slots_enu_m,
+            consensus.peers.flying,
+            fleet_enu_m,
+            flight.in_formation,
+            self._checks,
         )
         if answer.notice.code is not Code.REFERENCE_ACCEPTED or flight.phase is not FORMATION:
             return answer
         if not (track := self._references.waiting_track_enu_m(slots_enu_m)):
             return answer
-        tracks = tracks_about(track, slots_enu_m, members(self._own_id, consensus.flying))
+        tracks = tracks_about(track, slots_enu_m, members(self._own_id, consensus.peers.flying))
         if refusal := self._in_the_way(tracks, consensus):
             self._references.withdraw()
             return Answer(False, refusal.about("reference"))
@@ -190,7 +196,7 @@ class Changes:
     def _rft_enu_m(self, vehicle: VehicleState, flight: Flight, consensus: Consensus, slot: FlownSlot) -> list[Vector3]:
         """Positions of the RFT as far as this vehicle knows them: all of its reference plan, or where the fleet is now."""
         if self._references:
-            return self._references.positions_enu_m(consensus.reference_s)
+            return self._references.positions_enu_m(consensus.lead.reference_s)
         return [_fleet_enu_m(vehicle, slot)] if flight.phase is FORMATION else []
 
     def _adopt(
@@ -200,7 +206,7 @@ class Changes:
 
         One change is judged at a time, and the leaders take turns: a leader may send another change in every packet.
         """
-        changes = passed_on(consensus.flying, consensus.term, flight.on_ground)
+        changes = passed_on(consensus.peers.flying, consensus.lead.term, flight.on_ground)
         if not changes:
             self._heard = None
             return ()
@@ -235,18 +241,18 @@ class Changes:
         """The first leader proposes a formation without the vehicle that left; all vehicles check it."""
         if not vehicle.armed:
             gap_filling.restart()
-        gap_filling.update(now_s, consensus.flying)
+        gap_filling.update(now_s, consensus.peers.flying)
         slots, references = self._slots, self._references
         is_first = self._first_leader(flight, consensus) == self._own_id
-        if references is None or not is_first or not slots.is_settled(consensus.reference_s):
+        if references is None or not is_first or not slots.is_settled(consensus.lead.reference_s):
             self._proposal = None
             return ()
         proposal = self._proposal or gap_filling.propose(
             now_s,
             slots.slots_enu_m,
             slots.flown.waiting,
-            consensus.newest,
-            consensus.reference_s,
+            consensus.peers.known,
+            consensus.lead.reference_s,
             lambda reference_s: references.at(reference_s).position_enu_m,
         )
         if proposal.change is None:
@@ -261,8 +267,8 @@ class Changes:
         return proposal.events + gap_filling.keep_gap(proposal.gone_id, notice.text)
 
     def _first_leader(self, flight: Flight, consensus: Consensus) -> int | None:
-        leads = consensus.role is LEADER and flight.phase is FORMATION
-        return first_leader(consensus.flying, self._own_id if leads else None)
+        leads = consensus.lead.role is LEADER and flight.phase is FORMATION
+        return first_leader(consensus.peers.flying, self._own_id if leads else None)
 
 
 def _fleet_enu_m(vehicle: VehicleState, slot: FlownSlot) -> Vector3:

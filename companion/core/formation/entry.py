@@ -60,7 +60,7 @@ class FormationEntry:
             return refusal.notice, None
         if self._joins:
             return None, None
-        peers = [peer for peer in consensus.fresh.values() if peer.packet.armed]
+        peers = [peer for peer in consensus.peers.fresh.values() if peer.packet.armed]
         fleet, _ = self._fleet(now_s, reference, peers)
         return None, self._together.crossing(now_s, vehicle, Frame(fleet, heading, slots_m), path, peers)
 
@@ -74,7 +74,7 @@ class FormationEntry:
         slots_m: dict[int, Vector3],
     ) -> Path | None:
         """From here into the own slot; None where the law alone flies. Raises Refused where there is no path."""
-        peers = [peer for peer in consensus.fresh.values() if peer.packet.armed]
+        peers = [peer for peer in consensus.peers.fresh.values() if peer.packet.armed]
         if self._joins:
             slot_m = slots_m[self._own_id]
             return self._joining.path(now_s, vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot_m, heading, peers)
@@ -105,7 +105,7 @@ class FormationEntry:
         slot: FlownSlot,
     ) -> FormationState | None:
         """R that this vehicle flies as leader, None for a follower. `held` is R of its plan, `slot` the one flown last."""
-        if consensus.role is not LEADER:
+        if consensus.lead.role is not LEADER:
             self._led = False
             return None
         begins = flight.phase is ENGAGE or not self._led
@@ -113,7 +113,7 @@ class FormationEntry:
         if flight.phase not in STREAMING:
             self._lead_in.end()
         elif begins:
-            states = [peer.formation_state_at(now_s) for peer in _formed(consensus.fresh.values())]
+            states = [peer.formation_state_at(now_s) for peer in _formed(consensus.peers.fresh.values())]
             if self._led:
                 states.append(formation_state(vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot))
             self._lead_in.begin(now_s, mean_state(states) if states else held, held)

@@ -99,31 +99,31 @@ class GuidanceStage:
             if heading:
                 heading.restart()
         changed = NOTHING_CHANGED
-        passed_on = [peer for peer in consensus.flying if peer.change is not None]
+        passed_on = [peer for peer in consensus.peers.flying if peer.change is not None]
         if commands or passed_on or not self._changes.is_idle:
             changed = self._changes.step(now_s, vehicle, flight, consensus, self._slot, commands)
             events += changed.events
-        reference_s, leads = consensus.reference_s, consensus.role is LEADER
+        reference_s, leads = consensus.lead.reference_s, consensus.lead.role is LEADER
         held, reference, refusal_to_lead = None, None, None
         if references:
-            events += references.update(now_s, reference_s, slots.slots_enu_m, consensus.flying, targets)
+            events += references.update(now_s, reference_s, slots.slots_enu_m, consensus.peers.flying, targets)
             held = references.at(reference_s)
             reference = self._entry.reference(now_s, vehicle, flight, consensus, held, self._slot)
             refusal_to_lead = references.missing(now_s)
             if not leads and flight.phase is FORMATION:
                 refusal_to_lead = self._off_fleet(vehicle, held) or refusal_to_lead
         known = held if leads else None
-        formed = [peer.sender.vehicle_id for peer in consensus.flying if peer.phase is FORMATION]
+        formed = [peer.sender.vehicle_id for peer in consensus.peers.flying if peer.phase is FORMATION]
         if formed != self._formed:
             self._formed = formed
             self._entry.update(now_s, formed)
         requests: tuple[PhaseRequest, ...] = ()
         if flight.phase is not FORMATION:
             requests = self._enter(now_s, vehicle, flight, consensus, known)
-        events += slots.update(now_s, reference_s, consensus.flying, flight.phase in STREAMING)
+        events += slots.update(now_s, reference_s, consensus.peers.flying, flight.phase in STREAMING)
         self._slot = slots.flown
         if heading:
-            if consensus.heading is not None and not flight.streams:
+            if consensus.lead.heading is not None and not flight.streams:
                 heading.restart()  # this vehicle does not fly by it, so it may step to the reported one
             heading.update(now_s, consensus, known if flight.in_formation else None, slots.reach_m)
             self._slot = turned_slot(slots.flown, heading.flown)
@@ -143,7 +143,7 @@ class GuidanceStage:
             refusal_to_lead=refusal_to_lead,
             refusal_to_enter=refusal_to_enter,
             warning_to_enter=warning_to_enter,
-            offered=slots.to_pass_on(consensus.peers) if leads else None,
+            offered=slots.to_pass_on(consensus.peers.packets) if leads else None,
             rejected=references.rejected if references else NONE_REJECTED,
             answers=changed.answers,
             requests=requests,

@@ -44,10 +44,10 @@ class CourseHeading:
         """
         seconds = min(max(now_s - self._last_s, 0.0), LONGEST_S)
         self._last_s = now_s
-        received = around.heading
+        received = around.lead.heading
         if self._begins:
             self.flown, self._begins = received or EAST, False
-        elif around.leaderless is HealthFlag.LEADER_AWAITED:
+        elif around.lead.leaderless is HealthFlag.LEADER_AWAITED:
             self.flown = heading_after(Heading(self.flown.angle_rad, self.flown.rate_rad_s), seconds)
         else:
             goal = received or self._goal(reference)

@@ -248,11 +248,11 @@ def fleet_flags(
 ) -> set[HealthFlag]:
     """What is wrong between the vehicles. The link counts as lost only where it was there before."""
     flags = set()
-    if consensus.leaderless is not None:
-        flags.add(consensus.leaderless)
-    if phase in COOPERATING and consensus.newest and not consensus.present:
+    if consensus.lead.leaderless is not None:
+        flags.add(consensus.lead.leaderless)
+    if phase in COOPERATING and consensus.peers.known and not consensus.peers.present:
         flags.add(F.FLEET_LINK_LOST)
-    if now_s - consensus.duplicate_id_s < DUPLICATE_FOR_S:
+    if now_s - consensus.peers.duplicate_id_s < DUPLICATE_FOR_S:
         flags.add(F.DUPLICATE_ID)
     if separation.violated:
         flags.add(F.SEPARATION_VIOLATED)

@@ -151,7 +151,7 @@ def test_the_peers_of_a_failing_agent_learn_that_it_brakes(kind: AutopilotKind, 
     flight.ticks(0.4)
     peers = PeerTable(4, {3: True, 4: False}, flight.peers.packets[-1].packet.sender.formation_hash, 0.3, LIMITS, ())
     peers.fold(flight.peers.packets, 0)
-    last = peers.newest[3].packet
+    last = peers.known[3].packet
     assert last.phase is P.FORMATION
     assert last.motion.acceleration_enu_m_s2 != ZERO3
     published, sent = len(flight.peers.packets), len(flight.autopilot.targets)
@@ -166,7 +166,7 @@ def test_the_peers_of_a_failing_agent_learn_that_it_brakes(kind: AutopilotKind, 
     assert (packet.change, packet.rft) == (None, None)
     peers.fold(flight.peers.packets[published:], 0)
     assert peers.rejected == {}
-    state = peers.newest[3]
+    state = peers.known[3]
     assert state.packet == packet
     assert flight.failed_s - state.measured_s <= LAST_PACKET_TICKS * PERIOD_S + last.motion.state_age_s + 1e-6
     assert stage in SETPOINT_FAILS or flight.peers.published_before[-1] > sent  # the level setpoint goes first

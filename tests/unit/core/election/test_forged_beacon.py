@@ -25,14 +25,14 @@ def assert_recovers(
     forged = with_fields(honest, beacon=beacon, **leads)
     fleet.forged = {i: forged for i in to if i != sender}
     around = fleet.tick()
-    assert all(around[i].epoch == epoch for i in to if i != sender)
+    assert all(around[i].lead.term[0] == epoch for i in to if i != sender)
     for tick in range(round(2.0 / TICK_S)):
         around = fleet.tick()
         assert set(leaders_in(around)) <= {1}
         assert set(fleet.phases.values()) == {FlightPhase.FORMATION}
         if tick * TICK_S >= 1.0:
             assert leaders_in(around) == [1]
-            assert all(what.epoch == 0 and what.leader_beacon is not None for what in around.values())
+            assert all(what.lead.term[0] == 0 and what.lead.beacon is not None for what in around.values())
 
 
 @pytest.mark.parametrize("successors", [(), (2, 3)])
@@ -66,4 +66,4 @@ def test_one_claimed_beacon_of_the_next_term_deposes_no_leader_for_long() -> Non
     assert_recovers(fleet, 2, 2, fleet.ids, epoch=1, claim=1)
     fleet.dead = {1}
     assert leaders_in(fleet.fly(60)) == [2]  # the same term, and now with a leader
-    assert {what.term for what in fleet.tick().values()} == {(1, -1)}
+    assert {what.lead.term for what in fleet.tick().values()} == {(1, -1)}

@@ -142,8 +142,8 @@ def test_a_vehicle_whose_epoch_a_command_lowers_does_not_return_to_it_by_its_pee
             [ReceivedPeerPacket(fleet.now_s, packet) for packet in packets],
             [] if tick else [command],
         )
-        assert around.epoch == 5
-    assert around.fresh.keys() == {2, 4}
+        assert around.lead.term[0] == 5
+    assert around.peers.fresh.keys() == {2, 4}
 
 
 # ---------------------------------------------------------------- mission time
@@ -314,7 +314,7 @@ def test_prcs_settle_within_the_diameter_and_one_tick(
     assert {i: what.prc for i, what in before.items()} != settled
     after = fleet.fly(diameter)
     assert {i: what.prc for i, what in after.items()} == settled
-    epochs = {what.leader_beacon.epoch for what in after.values() if what.leader_beacon}
+    epochs = {what.lead.beacon.epoch for what in after.values() if what.lead.beacon}
     assert epochs == {1}
 
 
@@ -325,7 +325,7 @@ def test_the_ring_has_the_paper_s_matrices_before_and_after_a_change_of_leader()
     after = fleet.fly(3)
     for around, leader in ((before, 1), (after, 2)):
         assert {i: what.prc for i, what in around.items()} == settled_prcs(graph_of(RING), [leader])
-        graph = {i: what.neighbour_ids for i, what in around.items()}
+        graph = {i: what.neighbours.ids for i, what in around.items()}
         assert interaction_matrix(graph, [leader], weighted()).tolist() == PAPER_MATRICES[leader]
 
 
@@ -345,9 +345,9 @@ def test_two_epochs_have_leaders_for_at_most_one_packet(missed: tuple[int, ...])
         around = fleet.tick()
         assert leaders_in(around) == [2]
         assert all(
-            what.leader_beacon is not None for what in around.values()
+            what.lead.beacon is not None for what in around.values()
         )  # no vehicle ever considered the leader lost
-    assert {what.epoch for what in around.values()} == {1}
+    assert {what.lead.term[0] for what in around.values()} == {1}
 
 
 def test_an_old_leader_without_reception_is_used_by_no_vehicle() -> None:
@@ -359,7 +359,7 @@ def test_an_old_leader_without_reception_is_used_by_no_vehicle() -> None:
     assert leaders_in(around) == [1, 2]
     # 4 counts its hops to 2 through 3: its neighbour 1 sends PrC 1, but of an old epoch.
     assert {i: around[i].prc for i in (2, 3, 4)} == {2: 1, 3: 2, 4: 3}
-    assert all(around[i].leader_beacon.leader_id == 2 for i in (3, 4))  # type: ignore[union-attr]
+    assert all(around[i].lead.beacon.leader_id == 2 for i in (3, 4))  # type: ignore[union-attr]
     fleet.deaf = set()
     assert leaders_in(fleet.tick()) == [2]
 
@@ -379,44 +379,44 @@ def test_a_restarted_agent_is_follower_in_a_newer_epoch(restarted: int) -> None:
             vehicle.peers = fleet.started(i).peers
     for _ in range(100):
         around = fleet.tick()
-        assert around[restarted].role is Role.FOLLOWER
-        assert around[restarted].epoch <= 1
+        assert around[restarted].lead.role is Role.FOLLOWER
+        assert around[restarted].lead.term[0] <= 1
     expected = [2] if restarted == 1 else []
     assert leaders_in(around) == expected
-    assert (around[3].leader_beacon is not None) is bool(expected)
+    assert (around[3].lead.beacon is not None) is bool(expected)
 
 
 def test_mission_time_is_passed_on_and_continues_at_a_change_of_leader() -> None:
     fleet = CooperatingFleet(RING, may_lead=(1, 2))
     around = fleet.fly(500)
-    leader_s = around[1].reference_s
-    assert all(abs(what.reference_s - leader_s) < 2 * (TICK_S - WAITED_S) + 1e-6 for what in around.values())
+    leader_s = around[1].lead.reference_s
+    assert all(abs(what.lead.reference_s - leader_s) < 2 * (TICK_S - WAITED_S) + 1e-6 for what in around.values())
     for epoch in range(1, 41):
         fleet.give(Lead((1 + epoch % 2,), epoch))
-        before_s = around[1 + epoch % 2].reference_s
+        before_s = around[1 + epoch % 2].lead.reference_s
         around = fleet.tick()
-        assert around[1 + epoch % 2].reference_s - before_s == pytest.approx(TICK_S)
+        assert around[1 + epoch % 2].lead.reference_s - before_s == pytest.approx(TICK_S)
         around = fleet.fly(9)
 
 
 @pytest.mark.parametrize("edges", [RING, CHAIN])
 def test_the_rft_continues_after_its_leader_was_in_hold(edges: tuple[tuple[int, int], ...]) -> None:
     fleet = CooperatingFleet(edges, may_lead=(1, 2))
-    stopped_s = fleet.fly(500)[1].reference_s
+    stopped_s = fleet.fly(500)[1].lead.reference_s
     fleet.phases[1] = FlightPhase.HOLD
     around = fleet.fly(500)
-    assert all(what.reference_s == pytest.approx(stopped_s, abs=0.1) for what in around.values())
-    assert all(what.leader_beacon is not None and what.leader_beacon.reference_s == 0.0 for what in around.values())
-    stopped_at_s = around[2].reference_s
+    assert all(what.lead.reference_s == pytest.approx(stopped_s, abs=0.1) for what in around.values())
+    assert all(what.lead.beacon is not None and what.lead.beacon.reference_s == 0.0 for what in around.values())
+    stopped_at_s = around[2].lead.reference_s
     fleet.give(Lead((2,), 1))
-    assert fleet.tick()[2].reference_s == pytest.approx(stopped_at_s + TICK_S)
-    continued_s = fleet.fly(100)[2].reference_s
+    assert fleet.tick()[2].lead.reference_s == pytest.approx(stopped_at_s + TICK_S)
+    continued_s = fleet.fly(100)[2].lead.reference_s
     assert continued_s == pytest.approx(stopped_at_s + 101 * TICK_S)
     fleet.give(Lead((1,), 2))  # back to the leader in hold: mission time stops there
-    assert fleet.fly(100)[1].reference_s == pytest.approx(continued_s, abs=0.1)
+    assert fleet.fly(100)[1].lead.reference_s == pytest.approx(continued_s, abs=0.1)
     fleet.phases[1] = FlightPhase.FORMATION
     around = fleet.fly(10)
-    assert all(what.reference_s == pytest.approx(continued_s + 10 * TICK_S, abs=0.1) for what in around.values())
+    assert all(what.lead.reference_s == pytest.approx(continued_s + 10 * TICK_S, abs=0.1) for what in around.values())
 
 
 @pytest.mark.parametrize("holds", [1, 3])
@@ -425,12 +425,12 @@ def test_a_leader_in_hold_does_not_stop_the_time_of_another(holds: int) -> None:
     fleet.give(Lead((1, 3), 1))
     leads = 4 - holds
     fleet.phases[holds] = FlightPhase.HOLD
-    began_s = fleet.fly(40)[leads].reference_s  # the other one follows a mission time that lasts
+    began_s = fleet.fly(40)[leads].lead.reference_s  # the other one follows a mission time that lasts
     for tick in range(1, 200):
         around = fleet.tick()
-        assert around[leads].reference_s == pytest.approx(began_s + tick * TICK_S)
+        assert around[leads].lead.reference_s == pytest.approx(began_s + tick * TICK_S)
         # also of the one in hold: it enters formation at the time of the other
-        assert all(abs(what.reference_s - around[leads].reference_s) < 0.03 for what in around.values())
+        assert all(abs(what.lead.reference_s - around[leads].lead.reference_s) < 0.03 for what in around.values())
 
 
 def test_a_beacon_of_a_huge_epoch_claims_nothing() -> None:
@@ -450,8 +450,8 @@ def test_a_beacon_of_a_huge_epoch_claims_nothing() -> None:
         Flight(FlightPhase.FORMATION, in_formation=True),
         [ReceivedPeerPacket(fleet.now_s, forged)],
     )
-    assert (around.role, around.epoch) == (Role.LEADER, 0)
-    assert around.fresh[4].packet.motion.position_enu_m == (0.0, 0.0, 0.5)  # separation needs it
+    assert (around.lead.role, around.lead.term[0]) == (Role.LEADER, 0)
+    assert around.peers.fresh[4].packet.motion.position_enu_m == (0.0, 0.0, 0.5)  # separation needs it
     assert dict(fleet.vehicles[1].peers.rejected) == {f"{Code.PEER_EPOCH_TOO_HIGH} 4": 1}
     fleet.vehicles[1].peers.rejected.clear()
     del fleet.packets[4]  # the forged one has taken its place
@@ -466,4 +466,4 @@ def test_a_restarted_agent_catches_up_with_all_epochs_it_may_have_missed() -> No
     fleet.vehicles[1], fleet.phases[1] = fleet.started(1), FlightPhase.HOLD
     around = fleet.fly(5)
     assert leaders_in(around) == [2]
-    assert {what.epoch for what in around.values()} == {NUMBERS_AHEAD}
+    assert {what.lead.term[0] for what in around.values()} == {NUMBERS_AHEAD}

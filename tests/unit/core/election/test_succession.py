@@ -37,13 +37,13 @@ def seconds_until_led(fleet: CooperatingFleet, by: int) -> float:
     began_s = fleet.now_s
     while True:
         around = fleet.tick()
-        if all(what.leader_beacon is not None and what.leader_beacon.leader_id == by for what in around.values()):
+        if all(what.lead.beacon is not None and what.lead.beacon.leader_id == by for what in around.values()):
             return fleet.now_s - began_s
         assert fleet.now_s < began_s + 5.0
 
 
 def flags(around: dict[int, Consensus]) -> set[HealthFlag | None]:
-    return {what.leaderless for what in around.values()}
+    return {what.lead.leaderless for what in around.values()}
 
 
 # ---------------------------------------------------------------- the rule
@@ -77,10 +77,10 @@ def test_each_dead_successor_costs_one_turn() -> None:
 
 def test_mission_time_continues_when_a_successor_leads() -> None:
     fleet = fleet_in_flight()
-    before_s, died_s = fleet.tick()[2].reference_s, fleet.now_s
+    before_s, died_s = fleet.tick()[2].lead.reference_s, fleet.now_s
     fleet.dead = {1}
     seconds_until_led(fleet, by=2)
-    assert fleet.tick()[2].reference_s - before_s == pytest.approx(fleet.now_s - died_s)
+    assert fleet.tick()[2].lead.reference_s - before_s == pytest.approx(fleet.now_s - died_s)
 
 
 def test_all_hold_after_one_turn_when_there_are_no_successors() -> None:
@@ -109,7 +109,7 @@ def test_a_beacon_that_returns_within_a_turn_changes_no_leader() -> None:
             assert leaders_in(fleet.tick()) == [1]
         fleet.receives = lambda _receiver, _sender: True
         assert flags(fleet.fly(3)) == {None}
-        assert {what.epoch for what in fleet.fly(50).values()} == {0}
+        assert {what.lead.term[0] for what in fleet.fly(50).values()} == {0}
 
 
 def test_the_old_leader_returns_as_a_follower() -> None:
@@ -130,10 +130,10 @@ def test_the_next_successor_leads_when_the_first_dies(leads_s: float, term: tupl
     fleet = fleet_in_flight(tuple((i, i + 1) for i in range(1, 6)), successors=(2, 3))
     fleet.dead = {1}
     seconds_until_led(fleet, by=2)
-    assert {what.term for what in fleet.fly(1 + round(leads_s / TICK_S)).values()} == {(1, -1)}
+    assert {what.lead.term for what in fleet.fly(1 + round(leads_s / TICK_S)).values()} == {(1, -1)}
     fleet.dead = {1, 2}
     assert seconds_until_led(fleet, by=3) < UNCONFIRMED_S + 2 * TURN_S + 7 * TICK_S
-    assert {what.term for what in fleet.tick().values()} == {term}
+    assert {what.lead.term for what in fleet.tick().values()} == {term}
 
 
 @pytest.mark.parametrize("phase", [FlightPhase.HOLD, FlightPhase.RELEASE, FlightPhase.LAND, FlightPhase.OBSERVE])
@@ -161,9 +161,9 @@ def test_a_leader_received_directly_is_not_replaced_when_no_neighbour_passes_it_
     fleet.dead = {3}
     around = fleet.fly(100)
     assert leaders_in(around) == [1]
-    assert {what.epoch for what in around.values()} == {0}
+    assert {what.lead.term[0] for what in around.values()} == {0}
     assert [fleet.phases[i] for i in (1, 2, 4, 5, 6)] == [FlightPhase.FORMATION] * 2 + [FlightPhase.HOLD] * 3
-    assert {around[i].leader_beacon for i in (4, 5, 6)} == {None}
+    assert {around[i].lead.beacon for i in (4, 5, 6)} == {None}
 
 
 def test_a_successor_that_does_not_know_mission_time_claims_no_leadership() -> None:
@@ -219,8 +219,8 @@ def test_each_half_has_a_leader_and_one_remains_when_they_meet(successors: tuple
     around = fleet.fly(100)
     first = min((2, 3), key=successors.index)
     assert leaders_in(around) == [first, 5]
-    assert {what.epoch for what in around.values()} == {1}
-    assert around[first].reference_s == pytest.approx(around[5].reference_s, abs=0.05)
+    assert {what.lead.term[0] for what in around.values()} == {1}
+    assert around[first].lead.reference_s == pytest.approx(around[5].lead.reference_s, abs=0.05)
     fleet.receives = lambda _receiver, _sender: True
     best = min((first, 5), key=successors.index)
     assert leaders_in(fleet.tick()) == [best]
@@ -313,8 +313,8 @@ def test_one_leader_remains_or_no_vehicle_is_in_formation_after_any_faults(
         )
         for _ in range(round(lasts_s / TICK_S)):
             around = fleet.tick()
-            assert all(around[i].leader_beacon is not None for i in leaders_in(around))
-            times_s = [around[i].reference_s for i in leaders_in(around)]
+            assert all(around[i].lead.beacon is not None for i in leaders_in(around))
+            times_s = [around[i].lead.reference_s for i in leaders_in(around)]
             assert (
                 max(times_s, default=0.0) - min(times_s, default=0.0) < 0.3
             )  # two leaders have about the same mission time
@@ -323,10 +323,10 @@ def test_one_leader_remains_or_no_vehicle_is_in_formation_after_any_faults(
         around = fleet.tick()
         assert len(leaders_in(around)) <= 1 or tick == 0
     forms = [i for i in around if fleet.phases[i] is FlightPhase.FORMATION]
-    assert {around[i].leaderless for i in forms} <= {None}
+    assert {around[i].lead.leaderless for i in forms} <= {None}
     if forms:
         (leader,) = leaders_in(around)
-        assert all(around[i].leader_beacon.leader_id == leader for i in forms)  # type: ignore[union-attr]
+        assert all(around[i].lead.beacon.leader_id == leader for i in forms)  # type: ignore[union-attr]
 
 
 # ---------------------------------------------------------------- no false alarm

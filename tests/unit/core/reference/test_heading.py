@@ -19,7 +19,7 @@ from companion.config.fleet_check import load_fleet
 from companion.config.reference import CircleReference, PointReference, Reference
 from companion.config.reference_check import check_reference, most_pace
 from companion.core.consensus.law import FormationState
-from companion.core.consensus.stage import Consensus
+from companion.core.consensus.stage import Consensus, LeadView, Neighbours, PeerSets
 from companion.core.election.beacon import WAITED_S
 from companion.core.formation.entry import FormationEntry, Joining, LeadIn
 from companion.core.formation.guidance import GuidanceStage
@@ -159,12 +159,18 @@ def test_course_of_a_circle_and_of_a_point_at_rest() -> None:
 
 # ---------------------------------------------------------------- source of the heading
 
-LEADER = Consensus(Role.LEADER, 0, 1.0, 1, None, 0.0, None, (), (), (), None)
+LEADER = Consensus(
+    prc=1,
+    lead=LeadView(Role.LEADER, (0, 0), None, 0.0, None, reference_s=1.0, heading=None),
+    neighbours=Neighbours(),
+    peers=PeerSets(),
+)
 REACH_M = 3.0
 
 
 def receiving(heading: Heading | None, leaderless: HealthFlag | None = None) -> Consensus:
-    return replace(LEADER, role=Role.FOLLOWER, heading=heading, leaderless=leaderless)
+    lead = replace(LEADER.lead, role=Role.FOLLOWER, heading=heading, leaderless=leaderless)
+    return replace(LEADER, lead=lead)
 
 
 def northwards(speed_m_s: float = 2.0) -> FormationState:
@@ -272,7 +278,7 @@ def received_heading(fleet: CooperatingFleet, vehicle_id: int, published: dict[i
             )
             for i, p in fleet.packets.items()
         }
-    return fleet.tick()[vehicle_id].heading
+    return fleet.tick()[vehicle_id].lead.heading
 
 
 def test_heading_of_the_leader_is_extrapolated_over_its_age() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from common import with_fields
 from companion.core.consensus.peers import PeerState
-from companion.core.consensus.stage import Consensus
+from companion.core.consensus.stage import Consensus, LeadView, Neighbours, PeerSets
 from companion.core.safety.failsafe import FAILSAFES, OTHER_FAILSAFES, FailsafeSettings, HealthLimits
 from companion.core.safety.limits import OutputLimits
 from companion.core.safety.safeguard import SafeguardStage, Safety
@@ -152,22 +152,17 @@ class Vehicle:
     def _consensus(self) -> Consensus:
         other = {4: PeerState(with_fields(slot_peer(4), position_enu_m=(30.0, 30.0, 5.0)), self.now_s, 0.0, self.now_s)}
         leaderless = next((flag for flag in (F.LEADER_AWAITED, F.LEADER_LOST) if flag in self.raised), None)
+        in_time = {} if F.FLEET_LINK_LOST in self.raised else other
         return Consensus(
-            role=Role.LEADER,
-            epoch=0,
-            reference_s=0.0,
             prc=1,
-            leader_beacon=None,
-            leader_beacon_age_s=0.0,
-            leaderless=leaderless,
-            neighbours=(),
-            neighbour_ids=(),
-            flying=(),
-            heading=None,
-            newest=other,
-            fresh={} if F.FLEET_LINK_LOST in self.raised else other,
-            present={} if F.FLEET_LINK_LOST in self.raised else other,
-            duplicate_id_s=self.now_s if F.DUPLICATE_ID in self.raised else -inf,
+            lead=LeadView(Role.LEADER, (0, 0), None, 0.0, leaderless, reference_s=0.0, heading=None),
+            neighbours=Neighbours(),
+            peers=PeerSets(
+                known=other,
+                present=in_time,
+                fresh=in_time,
+                duplicate_id_s=self.now_s if F.DUPLICATE_ID in self.raised else -inf,
+            ),
         )
 
     def _separation(self) -> SeparationReport:
