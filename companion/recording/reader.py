@@ -30,7 +30,7 @@ from companion.recording.records import (
     TimingRecord,
 )
 from companion.types.commands import Command, CommandReply
-from companion.types.errors import CompanionError
+from companion.types.errors import CompanionError, UnusableError
 from companion.types.notices import Notice
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import printable
@@ -52,7 +52,7 @@ _DECODE: dict[str, Callable[[bytes], Any]] = {
 }
 
 
-class RecordingError(CompanionError):
+class RecordingError(UnusableError):
     """A folder without any recording that can be used. str() is one line."""
 
 

@@ -19,7 +19,7 @@ from msgspec import Struct
 from msgspec.structs import fields
 
 from companion.recording.alignment import RecordingClock, align
-from companion.recording.reader import Recording, RecordingError, recordings
+from companion.recording.reader import Recording, recordings
 from companion.recording.records import DECISION, STATUS, DecisionRecord
 from companion.types.errors import UnusableError
 from companion.types.status import NO_STATE_AGE_S
@@ -109,10 +109,6 @@ STATE_COLUMNS = frozenset(
 )
 
 
-class ExportError(UnusableError):
-    """Nothing can be exported, or a file cannot be written. str() is one line."""
-
-
 @dataclass(frozen=True, slots=True)
 class Written:
     """One CSV file."""
@@ -146,17 +142,16 @@ KINDS = (
 
 
 def export(folder: Path, out: Path) -> Iterator[Written]:
-    """Writes the files, of each start of each vehicle one for decisions and one for statuses. Raises ExportError.
+    """Writes the files, of each start of each vehicle one for decisions and one for statuses. Raises UnusableError.
 
     `time_s` is since the first record of the flight, `unix_s` the same by the date of the first vehicle. Both are common to all
     vehicles, as far as their clocks can be compared.
     """
-    try:
-        found = [one for one in recordings(folder, _warn) if one.vehicle_id]
-    except RecordingError as error:
-        raise ExportError(str(error)) from error
+    found = [one for one in recordings(folder, _warn) if one.vehicle_id]
     if not found:
-        raise ExportError(f"{printable(str(folder))}: only the ground recorded here; there are no decisions to export")
+        raise UnusableError(
+            f"{printable(str(folder))}: only the ground recorded here; there are no decisions to export"
+        )
     clocks = align(found, _warn)
     for one, clock in zip(found, clocks, strict=True):
         if len(found) > 1 and not clock.is_aligned:
@@ -170,7 +165,7 @@ def export(folder: Path, out: Path) -> Iterator[Written]:
             for kind in KINDS:
                 yield _write(out / f"{name}_{kind.name}.csv", one, clock, begin_s, kind)
     except OSError as error:
-        raise ExportError(f"{printable(str(error.filename or out))}: cannot be written: {error.strerror}") from error
+        raise UnusableError(f"{printable(str(error.filename or out))}: cannot be written: {error.strerror}") from error
 
 
 def _names(found: Sequence[Recording]) -> list[str]:
