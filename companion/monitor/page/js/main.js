@@ -6,15 +6,12 @@ import { watchAbortKeys, watchHolds } from "./hold.js";
 import { LiveConnection } from "./live.js";
 import { FleetMap } from "./map/map.js";
 import { Metrics } from "./metrics.js";
+import { PANELS } from "./panels.js";
 import { AlarmSound } from "./sound.js";
 import { Store } from "./store.js";
 import { Theme } from "./theme.js";
-import { alarms } from "./views/alarms.js";
 import { banner, hint } from "./views/banner.js";
 import { bar } from "./views/bar.js";
-import { control } from "./views/control.js";
-import { details } from "./views/details.js";
-import { events } from "./views/events.js";
 import { figures } from "./views/figures.js";
 import { help } from "./views/help.js";
 import { render } from "./views/lit.js";
@@ -23,7 +20,6 @@ import { Plots } from "./views/plots.js";
 import { replay } from "./views/replay.js";
 import { watchSight } from "./views/sight.js";
 import { tabs } from "./views/tabs.js";
-import { vehicles } from "./views/vehicles.js";
 
 const ABORT_HOLD_S = 0.5;
 const HINT_MS = 4000;
@@ -32,7 +28,6 @@ const PANELS_MS = 240; // between two updates of lists and plots by snapshots: p
 const DEFAULT_ALTITUDE_M = 4;
 
 const at = (id) => document.getElementById(id);
-const main = document.querySelector("main");
 const store = new Store();
 const sound = new AlarmSound();
 const metrics = new Metrics();
@@ -65,8 +60,8 @@ const act = {
   },
   tab(name) {
     page.tab = name;
-    main.dataset.tab = name;
     if (name === "alarms") at("alarms").scrollTop = 0;
+    showTab();
     schedule();
   },
   filterEvents(filter) {
@@ -174,6 +169,11 @@ function schedulePanels() {
   });
 }
 
+/** On a narrow screen the panels of the other tabs are out of sight. */
+function showTab() {
+  for (const { id, beside } of PANELS) at(id).classList.toggle("other", (beside ?? id) !== page.tab);
+}
+
 function contextAt(nowMs) {
   return { store, nowMs, theme, sound, abort, act, commanding, filter: page.filter };
 }
@@ -198,18 +198,15 @@ function drawPanels() {
   panelsMs = performance.now();
   const context = contextAt(panelsMs);
   const { controls, snapshot } = store;
-  at("control").hidden = !controls;
-  if (!controls && page.tab === "control") act.tab("vehicles");
+  const panels = PANELS.filter(({ shown }) => !shown || shown(store));
+  if (!panels.some(({ id }) => id === page.tab)) act.tab("vehicles");
+  for (const panel of PANELS) at(panel.id).hidden = !panels.includes(panel);
   at("replay").hidden = !snapshot?.replay;
   if (snapshot?.replay) render(replay(context), at("replay"));
-  if (controls) render(control(context), at("control"));
   render(figures(context), at("figures"));
-  render(tabs({ store, current: page.tab, act }), at("tabs"));
-  render(vehicles(context), at("vehicles"));
+  render(tabs({ panels, store, current: page.tab, act }), at("tabs"));
+  for (const { id, view } of panels) if (view) render(view(context), at(id));
   watchRows();
-  render(details(context), at("details"));
-  render(alarms(context), at("alarms"));
-  render(events(context), at("events"));
   render(mapTools(map), at("map-tools"));
   render(help({ controls, close: () => at("help").close() }), at("help"));
   render(drawingNote(), at("map-note"));
@@ -244,5 +241,6 @@ watchAbortKeys(
   () => act.abort(),
 );
 render(legend(), at("map-legend"));
+showTab();
 setInterval(tick, TICK_MS);
 schedule();

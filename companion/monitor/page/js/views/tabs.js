@@ -2,11 +2,7 @@
 
 import { html } from "./lit.js";
 
-export function tabs({ store, current, act }) {
-  const open = store.alarms.filter((alarm) => !alarm.acknowledged).length;
-  const names = { vehicles: "Vehicles", alarms: open ? `Alarms ${open}` : "Alarms" };
-  if (store.controls) names.control = "Control";
-  Object.assign(names, { plots: "Plots", events: "Events" });
-  return Object.entries(names).map(([key, name]) => html`<button aria-pressed=${current === key}
-    @click=${() => act.tab(key)}>${name}</button>`);
+export function tabs({ panels, store, current, act }) {
+  return panels.filter(({ title }) => title).map(({ id, title }) => html`<button aria-pressed=${current === id}
+    @click=${() => act.tab(id)}>${title(store)}</button>`);
 }
