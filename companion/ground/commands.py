@@ -29,16 +29,7 @@ from companion.ground.changes import (
     requested_slots,
     wanted_reference,
 )
-from companion.ground.goals import (
-    ALL_OR_NONE,
-    GOALS,
-    STILL_CHANGING,
-    Goal,
-    check_all,
-    end_of,
-    progress_text,
-    timed_out,
-)
+from companion.ground.goals import ALL_OR_NONE, GOALS, STILL_CHANGING, Goal, check_all, end_of, progress_text, timed_out
 from companion.types.commands import CommandName, Content, Lead, next_epoch
 from companion.types.errors import CompanionError
 from companion.types.flight import FlightPhase
@@ -126,7 +117,7 @@ class Sent:
     running: bool = False
 
 
-class Commands:
+class OperatorCommands:
     """Commands of one operator to one fleet, over an open session."""
 
     def __init__(

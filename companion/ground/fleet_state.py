@@ -40,7 +40,7 @@ class FleetState:
 
 
 @dataclass(frozen=True, slots=True)
-class VehicleState:
+class ReportedVehicle:
     """One vehicle as the ground sees it at one time: its newest report, and what this time and the other vehicles add to it.
 
     `age_s` is the time since the report; `data_age_s` adds the age of the position on board (inf where there never was one).
@@ -94,7 +94,7 @@ def fold(state: FleetState, report: StatusReport, now_s: float) -> FleetState:
     return FleetState(vehicles | {key: Received(now_s, report)})
 
 
-def vehicles_at(state: FleetState, now_s: float) -> list[VehicleState]:
+def vehicles_at(state: FleetState, now_s: float) -> list[ReportedVehicle]:
     """All vehicles that ever reported, by fleet and id."""
     ordered = [state.vehicles[key] for key in sorted(state.vehicles)]
     fleets = [list(of_fleet) for _, of_fleet in groupby(ordered, key=lambda received: received.report.status.fleet)]
@@ -120,7 +120,7 @@ def _facts(fleet: Sequence[Received], now_s: float) -> _FleetFacts:
     )
 
 
-def _vehicle(facts: _FleetFacts, received: Received, now_s: float) -> VehicleState:
+def _vehicle(facts: _FleetFacts, received: Received, now_s: float) -> ReportedVehicle:
     status = received.report.status
     age_s, silent = now_s - received.received_s, _is_silent(received, now_s)
     data_age_s = age_s + status.state_age_s
@@ -130,7 +130,7 @@ def _vehicle(facts: _FleetFacts, received: Received, now_s: float) -> VehicleSta
     if slot_position_enu_m is not None and status.landed in _FLYING and data_age_s <= SILENT_AFTER_S and not silent:
         error_to_slot_m = dist(status.position_enu_m, slot_position_enu_m)
     flags = status.flags if facts.under_way else tuple(flag for flag in status.flags if flag not in WITHOUT_LEADER)
-    return VehicleState(
+    return ReportedVehicle(
         received.report, age_s, data_age_s, silent, flags, reference_enu_m, slot_position_enu_m, error_to_slot_m
     )
 

@@ -17,16 +17,10 @@ from companion.config.fleet_check import load_fleet
 from companion.config.vehicle import ground_endpoints
 from companion.ground.answers import AnswerKind, answer_lines, answers_as_data, end_lines, wrapped
 from companion.ground.changes import FleetAction
-from companion.ground.commands import Commands, OperateError, Sent, check_content, statuses_of, wait_for
+from companion.ground.commands import OperateError, OperatorCommands, Sent, check_content, statuses_of, wait_for
 from companion.ground.current_fleet import simulation_endpoints, unreachable
 from companion.ground.goals import Goal, divided, goal_of
-from companion.ground.reports import (
-    readiness_as_data,
-    readiness_lines,
-    readiness_of,
-    status_as_data,
-    status_lines,
-)
+from companion.ground.reports import readiness_as_data, readiness_lines, readiness_of, status_as_data, status_lines
 from companion.ground.session import FleetSession
 from companion.security.names import ParticipantRole
 from companion.types.status import Status
@@ -69,7 +63,7 @@ def run_fleet(request: FleetRequest) -> int:
             return _admit(session, request.admission_list, identity, ids)
         if request.action.name in REPORTS:
             return _report(session, request, fleet, ids, endpoints)
-        return _command(session, request, Commands(session, fleet, request.wait_s), endpoints)
+        return _command(session, request, OperatorCommands(session, fleet, request.wait_s), endpoints)
 
 
 def _identity(request: FleetRequest, fleet: FleetConfig) -> Identity | None:
@@ -159,7 +153,7 @@ def _admission_line(vehicle_id: int, status: Status | None, number: int) -> str:
     return f"vehicle {vehicle_id:<3} {kind}  holds list {'none' if held is None else held}, sent was {number}"
 
 
-def _command(session: FleetSession, request: FleetRequest, commands: Commands, endpoints: Sequence[str]) -> int:
+def _command(session: FleetSession, request: FleetRequest, commands: OperatorCommands, endpoints: Sequence[str]) -> int:
     sent = commands.send(request.action)
     missing = any(outcome.kind is AnswerKind.MISSING for outcome in sent.outcomes.values())
     failed_endpoints = unreachable(endpoints, session.linked()) if missing else {}

@@ -54,12 +54,7 @@ class TrafficPublisher(GroundConnection):
         self._fleet, self._source = fleet, identity.id if identity else source
 
     def publish(
-        self,
-        name: str,
-        position_enu_m: Vector3,
-        velocity_enu_m_s: Vector3,
-        age_s: float = 0.0,
-        error_m: float = 0.0,
+        self, name: str, position_enu_m: Vector3, velocity_enu_m_s: Vector3, age_s: float = 0.0, error_m: float = 0.0
     ) -> None:
         """A position in the fleet frame, `age_s` old. `name`: letters, digits, _ and -, such as an ICAO address."""
         sample = TrafficSample(position_enu_m, velocity_enu_m_s, age_s, error_m)

@@ -148,11 +148,7 @@ class FleetSession(GroundConnection):
             }
 
     def command(
-        self,
-        vehicle_ids: Iterable[int],
-        name: CommandName,
-        timeout_s: float = 2.0,
-        content: Content | None = None,
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float = 2.0, content: Content | None = None
     ) -> dict[int, CommandReply | None]:
         """As `ask`, without the times of the replies."""
         asked = self.ask(vehicle_ids, name, timeout_s, content)

@@ -21,7 +21,7 @@ Key = tuple[str, int | None, str]  # fleet, vehicle id, code
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class AlarmCondition:
     """What is wrong at present."""
 
     severity: Severity
@@ -29,14 +29,14 @@ class Condition:
     advice: str
 
 
-OTHER_FILE = Condition(
+OTHER_FILE = AlarmCondition(
     "warning",
     "its fleet file is not the one here: slots, fence and the figures of the law may be wrong",
     "copy one fleet file to all vehicles and to the ground",
 )
 
 
-MISSING = Condition(
+MISSING = AlarmCondition(
     "warning",
     "no report yet; the fleet file here names it",
     "start its agent, and look at its endpoint and its network",
@@ -44,7 +44,7 @@ MISSING = Condition(
 
 
 @dataclass(frozen=True, slots=True)
-class Changes:
+class AlarmChanges:
     """The alarms that have begun and those that have ended in one update."""
 
     begun: tuple[AlarmView, ...] = ()
@@ -61,7 +61,7 @@ class Delay:
     def __init__(self) -> None:
         self._since_s: dict[Key, float] = {}  # of the present conditions
 
-    def lasting(self, now_s: float, conditions: Mapping[Key, Condition]) -> dict[Key, Condition]:
+    def lasting(self, now_s: float, conditions: Mapping[Key, AlarmCondition]) -> dict[Key, AlarmCondition]:
         """Those of the present conditions that are critical, or have lasted."""
         self._since_s = {key: self._since_s.get(key, now_s) for key in conditions}
         return {
@@ -78,7 +78,7 @@ class AlarmList:
         self._alarms: dict[Key, AlarmView] = {}
         self._last_id = 0
 
-    def update(self, time_s: float, conditions: Mapping[Key, Condition]) -> Changes:
+    def update(self, time_s: float, conditions: Mapping[Key, AlarmCondition]) -> AlarmChanges:
         """Begin and end alarms by the present conditions. One that was acknowledged begins again where it becomes worse."""
         self._leave_room(len(conditions.keys() - self._alarms.keys()))
         for key, condition in conditions.items():
@@ -91,7 +91,7 @@ class AlarmList:
             alarm = self._alarms.get(key)
             if alarm and (alarm.severity, alarm.text) != (condition.severity, condition.text):
                 self._alarms[key] = replace(alarm, severity=condition.severity, text=condition.text)
-        return Changes(tuple(begun), tuple(ended))
+        return AlarmChanges(tuple(begun), tuple(ended))
 
     def acknowledge(self, alarm_id: int) -> AlarmView | None:
         """The alarm, now acknowledged; None where there is none with this id. One that has ended leaves the list."""
@@ -120,7 +120,7 @@ class AlarmList:
     def _is_new(self, key: Key) -> bool:
         return key not in self._alarms or not self._lasts(key)
 
-    def _is_worse(self, key: Key, condition: Condition) -> bool:
+    def _is_worse(self, key: Key, condition: AlarmCondition) -> bool:
         alarm = self._alarms.get(key)
         return bool(alarm and alarm.acknowledged) and _RANKS[condition.severity] < _RANKS[self._alarms[key].severity]
 
@@ -128,7 +128,7 @@ class AlarmList:
         """Those that last stay: to take the place of one would begin it again at every update."""
         return key in self._alarms or len(self._alarms) < MOST_ALARMS
 
-    def _begin(self, time_s: float, key: Key, condition: Condition) -> AlarmView:
+    def _begin(self, time_s: float, key: Key, condition: AlarmCondition) -> AlarmView:
         fleet, vehicle_id, code = key
         if (alarm := self._alarms.get(key)) is not None:
             self._alarms[key] = replace(alarm, since_s=time_s, until_s=None, times=alarm.times + 1)
@@ -167,21 +167,21 @@ class AlarmList:
             del self._alarms[alarm.fleet, alarm.vehicle_id, alarm.code]
 
 
-def conditions_of(vehicle: VehicleView) -> dict[Key, Condition]:
+def conditions_of(vehicle: VehicleView) -> dict[Key, AlarmCondition]:
     """What is wrong with a vehicle. The flags of a silent one last until it reports again."""
     fleet, vehicle_id = vehicle.fleet, vehicle.vehicle_id
-    found: dict[Key, Condition] = {
-        (fleet, vehicle_id, flag.code): Condition(flag.severity, flag.text, flag.advice) for flag in vehicle.flags
+    found: dict[Key, AlarmCondition] = {
+        (fleet, vehicle_id, flag.code): AlarmCondition(flag.severity, flag.text, flag.advice) for flag in vehicle.flags
     }
     if vehicle.silent:
         severity: Severity = "critical" if vehicle.armed else "warning"
         state = f"{vehicle.phase}, {'armed' if vehicle.armed else 'disarmed'}"
         text = f"no report any more; when it last reported: {state}"
-        found[fleet, vehicle_id, SILENT] = Condition(severity, text, advice_of(Code.NO_REPORT))
+        found[fleet, vehicle_id, SILENT] = AlarmCondition(severity, text, advice_of(Code.NO_REPORT))
     if vehicle.recording.state == "dropping":
         text = f"{vehicle.recording.dropped} records lost: its disk is full or slow; the flight is not affected"
-        found[fleet, vehicle_id, NOT_RECORDED] = Condition("info", text, "free space on the disk of the vehicle")
+        found[fleet, vehicle_id, NOT_RECORDED] = AlarmCondition("info", text, "free space on the disk of the vehicle")
     if vehicle.network.security == "none":
         text = "strangers in its network can command it (security: none in the fleet file)"
-        found[fleet, None, UNSECURED] = Condition("info", text, "make identities: companion provision new FOLDER")
+        found[fleet, None, UNSECURED] = AlarmCondition("info", text, "make identities: companion provision new FOLDER")
     return found

@@ -11,22 +11,13 @@ from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
 from companion.ground.answers import AnswerKind, Outcome, TimedReply, id_list, outcome_of
 from companion.ground.changes import FleetAction
-from companion.ground.commands import Commands, OperateError, check_content
+from companion.ground.commands import OperateError, OperatorCommands, check_content
 from companion.ground.fleet_state import SILENT_AFTER_S
 from companion.ground.goals import divided
 from companion.ground.reports import Check, no_report, readiness_of
 from companion.ground.session import FleetSession
 from companion.monitor.api import AnswerView, CommandRequest, CommandResult, Preview
-from companion.monitor.command_requests import (
-    ABORT,
-    DOCTOR,
-    HOLD,
-    LAND,
-    WAIT_S,
-    RequestError,
-    fleet_action,
-    preview_of,
-)
+from companion.monitor.command_requests import ABORT, DOCTOR, HOLD, LAND, WAIT_S, RequestError, fleet_action, preview_of
 from companion.types.commands import CommandName, Content
 from companion.types.errors import CompanionError
 from companion.types.notices import Code, Notice
@@ -143,7 +134,7 @@ class Commander:
 
     def _sent(self, session: UntilEnded, wanted: FleetAction) -> CommandResult:
         try:
-            sent = Commands(session, self._fleet, WAIT_S).send(wanted)
+            sent = OperatorCommands(session, self._fleet, WAIT_S).send(wanted)
         except EndedError as error:
             return CommandResult(wanted.name, _views(session.outcomes()), error=str(error))
         advice = divided(sent.name, sent.outcomes)

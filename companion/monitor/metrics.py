@@ -68,81 +68,71 @@ def _position_errors(vehicle: VehicleView) -> dict[str, Value]:
     return {"horizontal": horizontal_m, "vertical": vertical_m}
 
 
-V, F = Measure[VehicleView], Measure[FleetView]
-UP = V(
-    "companion_vehicle_up",
+def _v(
+    name: str, text: str, values: Callable[[VehicleView], Values], by: str = "", if_silent: bool = False
+) -> Measure[VehicleView]:
+    return Measure(f"companion_vehicle_{name}", text, values, by, if_silent)
+
+
+def _f(name: str, text: str, values: Callable[[FleetView], Values]) -> Measure[FleetView]:
+    return Measure(f"companion_fleet_{name}", text, values)
+
+
+UP = _v(
+    "up",
     "1 while the vehicle reports, 0 when it is silent or has never reported",
     lambda v: not v.silent,
     if_silent=True,
 )
 VEHICLE_MEASURES: tuple[Measure[VehicleView], ...] = (
     UP,
-    V("companion_vehicle_report_age_seconds", "Time since the last status report", lambda v: v.age_s, "", True),
-    V("companion_vehicle_report_rate_hertz", "Status reports received per second", lambda v: v.report_rate_hz),
-    V(
-        "companion_vehicle_data_age_seconds",
-        "Age of the position: on board, and since the report",
-        lambda v: v.data_age_s,
-    ),
-    V(
-        "companion_vehicle_phase",
+    _v("report_age_seconds", "Time since the last status report", lambda v: v.age_s, "", True),
+    _v("report_rate_hertz", "Status reports received per second", lambda v: v.report_rate_hz),
+    _v("data_age_seconds", "Age of the position: on board, and since the report", lambda v: v.data_age_s),
+    _v(
+        "phase",
         "1 for the present flight phase, 0 for the others",
         lambda v: {str(phase): float(v.phase == phase) for phase in FlightPhase},
         "phase",
     ),
-    V("companion_vehicle_flag", "1 for a raised health flag, 0 for the others", _flags, "flag"),
-    V("companion_vehicle_armed", "1 while the motors are armed", lambda v: v.armed),
-    V("companion_vehicle_leader", "1 while the vehicle is leader", lambda v: v.role == Role.LEADER),
-    V("companion_vehicle_battery_ratio", "Battery charge, 0 to 1", lambda v: _percent(v.battery_percent)),
-    V(
-        "companion_vehicle_altitude_meters",
-        "Height above the fleet's origin",
-        lambda v: None if is_old(v) else v.position_enu_m[2],
+    _v("flag", "1 for a raised health flag, 0 for the others", _flags, "flag"),
+    _v("armed", "1 while the motors are armed", lambda v: v.armed),
+    _v("leader", "1 while the vehicle is leader", lambda v: v.role == Role.LEADER),
+    _v("battery_ratio", "Battery charge, 0 to 1", lambda v: _percent(v.battery_percent)),
+    _v("altitude_meters", "Height above the fleet's origin", lambda v: None if is_old(v) else v.position_enu_m[2]),
+    _v("speed_meters_per_second", "Speed", lambda v: None if is_old(v) else hypot(*v.velocity_enu_m_s)),
+    _v(
+        "position_error_meters", "One sigma of the position by the autopilot's estimator", _position_errors, "direction"
     ),
-    V(
-        "companion_vehicle_speed_meters_per_second",
-        "Speed",
-        lambda v: None if is_old(v) else hypot(*v.velocity_enu_m_s),
-    ),
-    V(
-        "companion_vehicle_position_error_meters",
-        "One sigma of the position by the autopilot's estimator",
-        _position_errors,
-        "direction",
-    ),
-    V("companion_vehicle_slot_error_meters", "Distance from its slot", lambda v: v.error_to_slot_m),
-    V(
-        "companion_vehicle_nearest_distance_meters",
+    _v("slot_error_meters", "Distance from its slot", lambda v: v.error_to_slot_m),
+    _v(
+        "nearest_distance_meters",
         "Distance of the nearest vehicle or traffic, as the separation filter counts it",
         lambda v: v.nearest.distance_m if v.nearest else None,
     ),
-    V(
-        "companion_vehicle_nearest_required_meters",
+    _v(
+        "nearest_required_meters",
         "Distance that the separation filter requires of it",
         lambda v: v.nearest.required_m if v.nearest else None,
     ),
-    V(
-        "companion_vehicle_separation_change_meters_per_second_squared",
+    _v(
+        "separation_change_meters_per_second_squared",
         "Change of the commanded acceleration by the separation filter, 0 without one",
         lambda v: v.nearest.changed_m_s2 if v.nearest else None,
     ),
-    V("companion_vehicle_prc", "Priority coefficient: 1 is a leader", lambda v: v.prc),
-    V("companion_vehicle_fresh_peers", "Vehicles of the fleet that it receives", lambda v: len(v.peers)),
-    V(
-        "companion_vehicle_leader_beacon_age_seconds",
-        "Age of the newest leader beacon",
-        lambda v: v.leader_beacon_age_s,
-    ),
-    V("companion_vehicle_tick_rate_hertz", "Ticks of the control loop per second", lambda v: v.timing.rate_hz),
-    V(
-        "companion_vehicle_tick_lateness_seconds",
+    _v("prc", "Priority coefficient: 1 is a leader", lambda v: v.prc),
+    _v("fresh_peers", "Vehicles of the fleet that it receives", lambda v: len(v.peers)),
+    _v("leader_beacon_age_seconds", "Age of the newest leader beacon", lambda v: v.leader_beacon_age_s),
+    _v("tick_rate_hertz", "Ticks of the control loop per second", lambda v: v.timing.rate_hz),
+    _v(
+        "tick_lateness_seconds",
         "Start of a tick after its due time, by quantile since it entered formation",
         lambda v: _quantiles(v.timing.late_p50_ms, v.timing.late_p99_ms, v.timing.late_max_ms),
         "quantile",
     ),
-    V("companion_vehicle_ticks_missed_total", "Periods without a tick", lambda v: v.timing.missed),
-    V(
-        "companion_vehicle_telemetry_to_command_seconds",
+    _v("ticks_missed_total", "Periods without a tick", lambda v: v.timing.missed),
+    _v(
+        "telemetry_to_command_seconds",
         "From a position's arrival to its setpoint, by quantile since it entered formation",
         lambda v: {
             "0.5": v.timing.telemetry_to_command_p50_ms / 1e3,
@@ -150,35 +140,27 @@ VEHICLE_MEASURES: tuple[Measure[VehicleView], ...] = (
         },
         "quantile",
     ),
-    V("companion_vehicle_cpu_ratio", "Use of one core by the agent, 0 to 1", lambda v: v.timing.cpu_percent / 100.0),
-    V("companion_vehicle_memory_bytes", "Resident memory of the agent", lambda v: v.timing.memory_mb * 1e6),
-    V("companion_vehicle_rejected_total", "Messages that the vehicle has rejected", lambda v: v.rejected),
-    V(
-        "companion_vehicle_unsecured",
-        "1 where strangers in the network can command it",
-        lambda v: v.network.security == "none",
-    ),
+    _v("cpu_ratio", "Use of one core by the agent, 0 to 1", lambda v: v.timing.cpu_percent / 100.0),
+    _v("memory_bytes", "Resident memory of the agent", lambda v: v.timing.memory_mb * 1e6),
+    _v("rejected_total", "Messages that the vehicle has rejected", lambda v: v.rejected),
+    _v("unsecured", "1 where strangers in the network can command it", lambda v: v.network.security == "none"),
 )
 FLEET_MEASURES: tuple[Measure[FleetView], ...] = (
-    F("companion_fleet_vehicles", "Vehicles of the fleet that ever reported", lambda f: len(f.vehicle_ids)),
-    F("companion_fleet_leaders", "Leaders that report", lambda f: len(f.leader_ids)),
-    F(
-        "companion_fleet_smallest_separation_meters",
+    _f("vehicles", "Vehicles of the fleet that ever reported", lambda f: len(f.vehicle_ids)),
+    _f("leaders", "Leaders that report", lambda f: len(f.leader_ids)),
+    _f(
+        "smallest_separation_meters",
         "Smallest distance of two vehicles, as separation_m counts it",
         lambda f: f.smallest_separation_m,
     ),
-    F(
-        "companion_fleet_separation_trend_meters_per_second",
+    _f(
+        "separation_trend_meters_per_second",
         "Its change over five seconds; negative while two vehicles close",
         lambda f: f.separation_trend_m_s,
     ),
-    F("companion_fleet_lambda_min", "Smallest eigenvalue of the interaction matrix", lambda f: f.lambda_min),
-    F("companion_fleet_settling_seconds", "Predicted time to a tenth of an error", lambda f: f.settling_s),
-    F(
-        "companion_fleet_link_margin_meters",
-        "How much farther apart the weakest neighbours may get",
-        lambda f: f.link_margin_m,
-    ),
+    _f("lambda_min", "Smallest eigenvalue of the interaction matrix", lambda f: f.lambda_min),
+    _f("settling_seconds", "Predicted time to a tenth of an error", lambda f: f.settling_s),
+    _f("link_margin_meters", "How much farther apart the weakest neighbours may get", lambda f: f.link_margin_m),
 )
 # Of the server; their values are in `_of_server`.
 SERVER_MEASURES: dict[str, str] = {

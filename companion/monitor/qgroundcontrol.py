@@ -201,9 +201,9 @@ def state_messages(status: Status) -> list[MavlinkMessage]:
         ),
         mavlink.MAVLink_battery_status_message(
             0, mavlink.MAV_BATTERY_FUNCTION_ALL, mavlink.MAV_BATTERY_TYPE_UNKNOWN, 32_767, [VOLTAGE_UNKNOWN] * 10,
-            CURRENT_UNKNOWN, -1, -1, percent,
+            CURRENT_UNKNOWN, -1, -1, percent
         ),
-        mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, int(status.landed)),
+        mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, int(status.landed))
     ]  # fmt: skip
 
 

@@ -14,8 +14,8 @@ from companion.monitor.alarms import (
     MISSING,
     NEVER_HEARD,
     OTHER_FILE,
+    AlarmCondition,
     AlarmList,
-    Condition,
     Delay,
     Key,
     conditions_of,
@@ -162,7 +162,7 @@ class Picture:
         self, now_s: float, time_s: float, vehicles: Sequence[VehicleView], fleets: Sequence[FleetView]
     ) -> None:
         """`fleets`: those of which all vehicles are expected to report."""
-        conditions: dict[Key, Condition] = {}
+        conditions: dict[Key, AlarmCondition] = {}
         for vehicle in vehicles:
             conditions |= conditions_of(vehicle)
             own_hash = self._hashes.get(vehicle.fleet)

@@ -26,7 +26,7 @@ import zenoh
 from companion import GROUND_INSTALL
 from companion.ground.answers import id_list
 from companion.ground.current_fleet import unreachable
-from companion.ground.fleet_state import FleetState, VehicleState, fold, formation_text, reference_text, vehicles_at
+from companion.ground.fleet_state import FleetState, ReportedVehicle, fold, formation_text, reference_text, vehicles_at
 from companion.ground.session import FleetSession
 from companion.monitor import MonitorError
 from companion.monitor.tui_page import Line, Style, fitted_page, page
@@ -51,7 +51,7 @@ PRINTED_OF_STATUS = (
     *("separation", "last_event", "network"),
 )
 
-Print = Callable[[list[VehicleState]], None]
+Print = Callable[[list[ReportedVehicle]], None]
 
 
 def run_monitor(
@@ -127,11 +127,11 @@ def _need_rich() -> None:
         raise MonitorError(f"the live table needs the package rich: {GROUND_INSTALL}, or use --once, --json or a pipe")
 
 
-def _reader(session: FleetSession) -> Callable[[], list[VehicleState]]:
+def _reader(session: FleetSession) -> Callable[[], list[ReportedVehicle]]:
     """Gives the rows of all vehicles at each call."""
     state = FleetState()
 
-    def read() -> list[VehicleState]:
+    def read() -> list[ReportedVehicle]:
         nonlocal state
         state = _updated(session, state)
         return vehicles_at(state, time.monotonic())
@@ -154,16 +154,16 @@ def _updated(session: FleetSession, state: FleetState) -> FleetState:
     return state
 
 
-def _plain_table(vehicles: list[VehicleState], members: Members) -> None:
+def _plain_table(vehicles: list[ReportedVehicle], members: Members) -> None:
     lines = page(vehicles, shutil.get_terminal_size((PLAIN_WIDTH, 24)).columns, members)
     print("\n".join(shown.text for shown in lines) or "no vehicle has reported yet")
 
 
-def _json(vehicles: list[VehicleState]) -> None:
+def _json(vehicles: list[ReportedVehicle]) -> None:
     print(msgspec.json.encode([vehicle_as_data(vehicle) for vehicle in vehicles]).decode())
 
 
-def vehicle_as_data(vehicle: VehicleState) -> dict[str, Any]:
+def vehicle_as_data(vehicle: ReportedVehicle) -> dict[str, Any]:
     """What --json prints of a vehicle."""
     status = vehicle.status
     return {
@@ -182,7 +182,7 @@ def vehicle_as_data(vehicle: VehicleState) -> dict[str, Any]:
     }
 
 
-def _json_once(vehicles: list[VehicleState], members: Members) -> None:
+def _json_once(vehicles: list[ReportedVehicle], members: Members) -> None:
     """On standard error those that the array cannot have, because they never reported."""
     _json(vehicles)
     for fleet in fleets(vehicles, members):
@@ -196,7 +196,7 @@ CONNECTIONS_EVERY_S = 3.0
 
 
 def show_live(
-    vehicles: Callable[[], Sequence[VehicleState]],
+    vehicles: Callable[[], Sequence[ReportedVehicle]],
     endpoints: Sequence[str],
     unreachable: Callable[[], Mapping[str, str]],
     members: Members,

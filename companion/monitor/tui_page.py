@@ -13,7 +13,7 @@ from enum import StrEnum
 from math import isfinite
 
 from companion.ground.answers import id_list
-from companion.ground.fleet_state import VehicleState, formation_text, reference_text
+from companion.ground.fleet_state import ReportedVehicle, formation_text, reference_text
 from companion.monitor.tui_rows import NO_MEMBERS, SILENT, FleetRows, Members, TableRow, fleets, grouped, heading
 from companion.types.values import printable
 
@@ -38,13 +38,13 @@ class Line:
     style: Style = Style.PLAIN
 
 
-def page(vehicles: Sequence[VehicleState], width: int, members: Members = NO_MEMBERS) -> list[Line]:
+def page(vehicles: Sequence[ReportedVehicle], width: int, members: Members = NO_MEMBERS) -> list[Line]:
     """All of it, for a file, a pipe, or a terminal that is high enough."""
     return [shown for fleet in fleets(vehicles, members) for shown in _fleet(fleet, max(width, NARROWEST))]
 
 
 def fitted_page(
-    vehicles: Sequence[VehicleState], width: int, height: int, now_s: float, members: Members = NO_MEMBERS
+    vehicles: Sequence[ReportedVehicle], width: int, height: int, now_s: float, members: Members = NO_MEMBERS
 ) -> list[Line]:
     """At most `height` lines. `now_s`: any clock; it turns the part that is shown."""
     whole = page(vehicles, width, members)

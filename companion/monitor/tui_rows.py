@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 from companion.geometry.formations import separation_distance_m
 from companion.ground.answers import count, id_list
-from companion.ground.fleet_state import VehicleState
+from companion.ground.fleet_state import ReportedVehicle
 from companion.monitor.vehicle_view import advice_of
 from companion.types.code_table import code_table
 from companion.types.flight import FLAG_TEXTS, Role
@@ -33,10 +33,10 @@ class Nearest:
 class TableRow:
     """A vehicle, its nearest other one (None if unknown) and what is wrong with it."""
 
-    vehicle: VehicleState
+    vehicle: ReportedVehicle
     fleet_size: int
     nearest: Nearest | None
-    problems: tuple[Problem, ...]
+    problems: tuple[VehicleProblem, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +52,13 @@ class FleetRows:
     missing_ids: tuple[int, ...] = ()
 
 
-def fleets(vehicles: Sequence[VehicleState], members: Members = NO_MEMBERS) -> Iterator[FleetRows]:
+def fleets(vehicles: Sequence[ReportedVehicle], members: Members = NO_MEMBERS) -> Iterator[FleetRows]:
     """Of rows that come sorted by fleet."""
     for name, group in groupby(vehicles, key=lambda row: row.fleet):
         yield _fleet(name, list(group), members.get(name, frozenset()))
 
 
-def _fleet(name: str, vehicles: list[VehicleState], members: frozenset[int]) -> FleetRows:
+def _fleet(name: str, vehicles: list[ReportedVehicle], members: frozenset[int]) -> FleetRows:
     """Distances are in the metric of `separation_m`, between vehicles whose positions are not old."""
     nearest: dict[int, tuple[float, int]] = {}
     known = [row for row in vehicles if not row.silent and not row.has_old_position]
@@ -74,7 +74,7 @@ def _fleet(name: str, vehicles: list[VehicleState], members: frozenset[int]) -> 
     return FleetRows(name, tuple(rows), min(pairs, default=None), missing_ids)
 
 
-def _nearest(row: VehicleState, on_the_ground: tuple[float, int] | None) -> Nearest | None:
+def _nearest(row: ReportedVehicle, on_the_ground: tuple[float, int] | None) -> Nearest | None:
     """As the vehicle itself sees it while it flies in formation, with traffic; else from the positions reported."""
     seen = row.status.separation.nearest
     if row.silent:
@@ -112,7 +112,7 @@ _RANKS = {flag: rank for rank, flag in enumerate(code_table().worst_first)}
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class VehicleProblem:
     """Of one vehicle. `in_flight` is False for what only keeps it from flying."""
 
     code: str
@@ -125,23 +125,25 @@ class Problem:
         return advice_of(Code.NO_REPORT if self.code == SILENT else self.code)
 
 
-def problems_of(row: VehicleState) -> tuple[Problem, ...]:
+def problems_of(row: ReportedVehicle) -> tuple[VehicleProblem, ...]:
     """The worst first. Of a silent vehicle nothing else is known."""
     if row.silent:
-        return (Problem(SILENT, "no report any more; all that is known of it is old"),)
-    flags = sorted((Problem(flag, FLAG_TEXTS[flag]) for flag in row.flags), key=lambda problem: _RANKS[problem.code])
-    return (*flags, *(Problem(notice.code, notice.text, in_flight=False) for notice in row.status.lacks))
+        return (VehicleProblem(SILENT, "no report any more; all that is known of it is old"),)
+    flags = sorted(
+        (VehicleProblem(flag, FLAG_TEXTS[flag]) for flag in row.flags), key=lambda problem: _RANKS[problem.code]
+    )
+    return (*flags, *(VehicleProblem(notice.code, notice.text, in_flight=False) for notice in row.status.lacks))
 
 
-def grouped(problems: Iterable[tuple[int, Problem]]) -> list[tuple[Problem, list[int]]]:
+def grouped(problems: Iterable[tuple[int, VehicleProblem]]) -> list[tuple[VehicleProblem, list[int]]]:
     """(vehicle id, problem) -> each problem once with the ids of its vehicles; silence first, what keeps from flying last."""
-    vehicles: dict[Problem, list[int]] = {}
+    vehicles: dict[VehicleProblem, list[int]] = {}
     for vehicle_id, problem in problems:
         vehicles.setdefault(problem, []).append(vehicle_id)
     return sorted(vehicles.items(), key=lambda item: _order(item[0]))
 
 
-def _order(problem: Problem) -> tuple[bool, int, str]:
+def _order(problem: VehicleProblem) -> tuple[bool, int, str]:
     return (
         not problem.in_flight,
         -1 if problem.code == SILENT else _RANKS.get(problem.code, len(_RANKS)),

@@ -6,7 +6,7 @@ from functools import lru_cache
 from itertools import zip_longest
 
 from companion.config.fleet import FleetConfig, FleetSettings
-from companion.ground.fleet_state import SILENT_AFTER_S, VehicleState, formation_text, reference_text
+from companion.ground.fleet_state import SILENT_AFTER_S, ReportedVehicle, formation_text, reference_text
 from companion.monitor.api import FlagView, NearestView, NeighbourView, Severity, TimingView, VehicleView
 from companion.tools.explanations import action_words
 from companion.types.code_table import code_entries
@@ -23,7 +23,7 @@ def is_old(vehicle: VehicleView) -> bool:
     return vehicle.data_age_s is None or vehicle.data_age_s > SILENT_AFTER_S
 
 
-def vehicle_view(vehicle: VehicleState, report_rate_hz: float, fleet: FleetConfig | None) -> VehicleView:
+def vehicle_view(vehicle: ReportedVehicle, report_rate_hz: float, fleet: FleetConfig | None) -> VehicleView:
     """`fleet` is None without the fleet file."""
     status = vehicle.status
     nearest, error, beacon = status.separation.nearest, status.position_error, status.leader_beacon

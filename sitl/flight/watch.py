@@ -9,7 +9,7 @@ from companion.core.consensus.law import FormationState
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.geometry.formations import turned_slot
 from companion.ground.answers import TimedReply
-from companion.ground.fleet_state import FleetState, VehicleState, fold, vehicles_at
+from companion.ground.fleet_state import FleetState, ReportedVehicle, fold, vehicles_at
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
@@ -202,7 +202,7 @@ class FlightWatch:
             if status.phase is FlightPhase.OBSERVE and status.landed is not LandedState.ON_GROUND
         }
 
-    def vehicles_at(self, now_s: float) -> list[VehicleState]:
+    def vehicles_at(self, now_s: float) -> list[ReportedVehicle]:
         return vehicles_at(self._state, now_s)
 
     def silent(self, now_s: float) -> list[int]:

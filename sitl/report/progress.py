@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from companion.ground.fleet_state import VehicleState
+from companion.ground.fleet_state import ReportedVehicle
 from companion.types.flight import WITHOUT_LEADER, FlightPhase
 
 VIEW_EVERY_S = 5.0
@@ -52,7 +52,7 @@ class FlightProgress:
         """Whether it is time to refresh."""
         return self._screen.is_due()
 
-    def show(self, vehicles: Sequence[VehicleState], now_s: float) -> None:
+    def show(self, vehicles: Sequence[ReportedVehicle], now_s: float) -> None:
         """Refresh the view."""
         remark = [f"  {self._remark}"] if self._remark else []
         self._screen.show([self._headline(now_s), *remark, *(vehicle_line(vehicle) for vehicle in vehicles)])
@@ -63,7 +63,7 @@ class FlightProgress:
         return f"{self._name}   {self._step}   {step_s:.1f}{total} s   (flight {now_s - self._began_s:.0f} s)"
 
 
-def vehicle_line(vehicle: VehicleState) -> str:
+def vehicle_line(vehicle: ReportedVehicle) -> str:
     """A vehicle's id, role, phase, altitude, error to its slot, PrC and age of its data."""
     status = vehicle.status
     error = "   -  " if vehicle.error_to_slot_m is None else f"{vehicle.error_to_slot_m:4.2f} m"

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from companion.config.vehicle import ZenohEndpoints
 from companion.ground.answers import TimedReply
 from companion.ground.commands import MACHINE_CLOCK
-from companion.ground.fleet_state import FleetState, VehicleState, fold, vehicles_at
+from companion.ground.fleet_state import FleetState, ReportedVehicle, fold, vehicles_at
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.types.autopilot import LandedState, PositionError
 from companion.types.commands import Command, CommandName, CommandReply, Content, Lead, ReferenceChange
@@ -88,7 +88,7 @@ def leader(**changes: object) -> Status:
     return reported(1, **leading | changes)
 
 
-def rows_of(*statuses: Status, silent: tuple[int, ...] = (), now_s: float = 100.04) -> list[VehicleState]:
+def rows_of(*statuses: Status, silent: tuple[int, ...] = (), now_s: float = 100.04) -> list[ReportedVehicle]:
     """The rows 40 ms after the reports; those of `silent` vehicles came 4.2 s before."""
     state = FleetState()
     for status in statuses:
@@ -97,7 +97,7 @@ def rows_of(*statuses: Status, silent: tuple[int, ...] = (), now_s: float = 100.
     return vehicles_at(state, now_s)
 
 
-def troubled_fleet() -> list[VehicleState]:
+def troubled_fleet() -> list[ReportedVehicle]:
     """Five vehicles: a sound leader, one outside the fence with a late tick, one silent, one on the ground, one avoiding."""
     return rows_of(
         leader(),
@@ -123,7 +123,7 @@ def troubled_fleet() -> list[VehicleState]:
     )
 
 
-def large_fleet() -> list[VehicleState]:
+def large_fleet() -> list[ReportedVehicle]:
     """Fifty vehicles; 17 has a low battery, 33 is silent."""
     flagged = reported(17, flags=(HealthFlag.BATTERY_LOW,), battery_percent=21.0)
     others = (reported(i) for i in range(2, 51) if i != 17)

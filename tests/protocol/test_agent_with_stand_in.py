@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from companion.ground.fleet_state import FleetState, VehicleState, fold, vehicles_at
+from companion.ground.fleet_state import FleetState, ReportedVehicle, fold, vehicles_at
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
@@ -53,14 +53,14 @@ def test_a_whole_flight(tmp_path: Path) -> None:
     ):
         state = FleetState()
 
-        def row() -> VehicleState | None:
+        def row() -> ReportedVehicle | None:
             nonlocal state
             manager.listen()  # the kernel keeps ten messages, not more
             for report in session.drain():
                 state = fold(state, report, 0.0)
             return next(iter(vehicles_at(state, 0.0)), None)
 
-        def now() -> VehicleState:
+        def now() -> ReportedVehicle:
             seen = row()
             assert seen
             return seen

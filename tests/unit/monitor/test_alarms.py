@@ -5,12 +5,12 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.monitor.alarms import MOST_ALARMS, WARNS_AFTER_S, AlarmList, Condition, Delay, Key
+from companion.monitor.alarms import MOST_ALARMS, WARNS_AFTER_S, AlarmCondition, AlarmList, Delay, Key
 
 LOW = ("platoon", 2, "BATTERY_LOW")
 LATE = ("platoon", 1, "TICK_LATE")
-WARNING = Condition("warning", "battery below leave_below_percent", "change it")
-CRITICAL = Condition("critical", "battery below land_below_percent", "land")
+WARNING = AlarmCondition("warning", "battery below leave_below_percent", "change it")
+CRITICAL = AlarmCondition("critical", "battery below land_below_percent", "land")
 
 
 def test_an_alarm_lasts_until_it_has_ended_and_is_acknowledged() -> None:
@@ -74,7 +74,7 @@ def test_an_acknowledged_alarm_that_becomes_worse_is_another_one() -> None:
 
 def test_a_full_list_keeps_its_alarms_and_takes_no_new_ones() -> None:
     alarms = AlarmList()
-    conditions: dict[Key, Condition] = {("platoon", i, "TICK_LATE"): WARNING for i in range(MOST_ALARMS + 100)}
+    conditions: dict[Key, AlarmCondition] = {("platoon", i, "TICK_LATE"): WARNING for i in range(MOST_ALARMS + 100)}
     first = alarms.update(10.0, conditions).begun
     assert len(first) == MOST_ALARMS
     assert alarms.update(11.0, conditions).begun == ()
@@ -94,7 +94,7 @@ def test_the_most_severe_come_first_and_those_that_have_ended_last() -> None:
 @given(
     st.lists(st.dictionaries(st.tuples(st.just("f"), st.integers(1, 250), st.sampled_from("ABCDE")), st.just(WARNING)))
 )
-def test_any_history_keeps_all_present_conditions_and_no_alarm_twice(history: list[dict[Key, Condition]]) -> None:
+def test_any_history_keeps_all_present_conditions_and_no_alarm_twice(history: list[dict[Key, AlarmCondition]]) -> None:
     alarms = AlarmList()
     for time_s, conditions in enumerate(history):
         alarms.update(float(time_s), conditions)
@@ -106,7 +106,7 @@ def test_any_history_keeps_all_present_conditions_and_no_alarm_twice(history: li
 
 def test_a_flood_of_conditions_is_bounded_and_keeps_the_severe_ones() -> None:
     alarms = AlarmList()
-    flood: dict[Key, Condition] = {("f", 1, f"CODE_{i}"): WARNING for i in range(2 * MOST_ALARMS)}
+    flood: dict[Key, AlarmCondition] = {("f", 1, f"CODE_{i}"): WARNING for i in range(2 * MOST_ALARMS)}
     alarms.update(1.0, flood | {LATE: CRITICAL})
     assert len(alarms.all()) == MOST_ALARMS
     assert alarms.all()[0].code == "TICK_LATE"
