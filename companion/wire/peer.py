@@ -1,8 +1,9 @@
-"""PeerPacket <-> bytes: a MessagePack array, to keep 50 packets per second small."""
+"""PeerPacket <-> bytes."""
 
 from __future__ import annotations
 
 import msgspec
+from msgspec.structs import astuple
 
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
@@ -10,13 +11,15 @@ from companion.types.formation import EAST, FlownSlot, FormationChange, Heading,
 from companion.types.notices import Code
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.values import ChangeDuration, MissionTime, Number, SlotsOfAll, Vector3, VehicleId, VehicleIds
-from companion.wire.messages import seal, unsealed
+from companion.wire.messages import _encoder, seal, unsealed
 
 _BeaconWire = tuple[VehicleId, Number, Number, float, Number, tuple[float, float, float] | None]
 """Leader id, epoch, stamp, reference_s, claim, heading with rate and acceleration (None: east and constant)."""
 
 
 class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
+    """A peer packet on the wire: an array, to keep 50 packets per second small."""
+
     vehicle_id: VehicleId
     session: Number
     sequence: Number
@@ -30,23 +33,21 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     sent_s: float
     prc: int
     leader_beacon: _BeaconWire | None
-    slot: tuple[
-        Vector3, Vector3, Vector3, Number, Number, ChangeDuration
-    ]  # position, velocity, acceleration, formation, waiting, moves_for_s
-    position_error: tuple[float, float] | None  # horizontal_m, vertical_m
-    reference: tuple[Number, Number, float] | None  # flown, waiting, begun_s
-    change: tuple[Number, SlotsOfAll, MissionTime, ChangeDuration, VehicleIds] | None  # as FormationChange
+    # Each of these has the fields of its type in their order.
+    slot: tuple[Vector3, Vector3, Vector3, Number, Number, ChangeDuration]
+    position_error: tuple[float, float] | None
+    reference: tuple[Number, Number, float] | None
+    change: tuple[Number, SlotsOfAll, MissionTime, ChangeDuration, VehicleIds] | None
     armed: bool
     rft: tuple[Vector3, Vector3, Vector3] | None  # position, velocity, acceleration
 
 
-_encoder = msgspec.msgpack.Encoder()
-_decoder = msgspec.msgpack.Decoder(_PeerWire)
+_peer_decoder = msgspec.msgpack.Decoder(_PeerWire)
 
 
 def encode_peer(packet: PeerPacket) -> bytes:
     """The message for a peer packet."""
-    sender, motion, leader, slot = packet.sender, packet.motion, packet.leader, packet.slot
+    sender, motion, leader = packet.sender, packet.motion, packet.leader
     beacon, error, held, change = leader.beacon, packet.position_error, packet.reference, packet.change
     return seal(
         _encoder.encode(
@@ -64,19 +65,10 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 sent_s=motion.sent_s,
                 prc=leader.prc,
                 leader_beacon=_beacon_wire(beacon) if beacon else None,
-                slot=(
-                    slot.position_enu_m,
-                    slot.velocity_enu_m_s,
-                    slot.acceleration_enu_m_s2,
-                    slot.formation,
-                    slot.waiting,
-                    slot.moves_for_s,
-                ),
-                position_error=(error.horizontal_m, error.vertical_m) if error else None,
-                reference=(held.flown, held.waiting, held.begun_s) if held else None,
-                change=(change.number, change.slots_enu_m, change.begins_s, change.lasts_s, change.absent)
-                if change
-                else None,
+                slot=astuple(packet.slot),
+                position_error=astuple(error) if error else None,
+                reference=astuple(held) if held else None,
+                change=astuple(change) if change else None,
                 armed=packet.armed,
                 rft=packet.rft,
             )
@@ -97,7 +89,7 @@ def _beacon_from(wire: _BeaconWire) -> LeaderBeacon:
 
 def decode_peer(data: bytes) -> PeerPacket:
     """The peer packet of a message. Checks form, version and sizes; `PeerTable` checks the values. Raises WireError."""
-    wire = unsealed(_decoder, data, Code.PEER_MALFORMED, "peer packet")
+    wire = unsealed(_peer_decoder, data, Code.PEER_MALFORMED, "peer packet")
     beacon, error, held, change = wire.leader_beacon, wire.position_error, wire.reference, wire.change
     return PeerPacket(
         sender=Sender(wire.vehicle_id, wire.session, wire.sequence, wire.formation_hash),
