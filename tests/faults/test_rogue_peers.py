@@ -19,7 +19,7 @@ from companion.types.formation import FlownSlot, LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.wire.keys import peer_key
-from companion.wire.peer import encode_peer
+from companion.wire.messages import encode_peer
 from processes import free_fleet_offset
 from sitl.links.ports import LOOPBACK, ports_of
 from sitl.report.summary import read_summary

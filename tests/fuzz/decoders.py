@@ -22,13 +22,14 @@ from companion.wire.messages import (
     StatusReport,
     WireError,
     decode_command,
+    decode_peer,
     decode_reply,
     decode_report,
     decode_target,
     decode_traffic,
     encode,
+    encode_peer,
 )
-from companion.wire.peer import decode_peer, encode_peer
 from sitl.flight.lockstep import NOT_TIMED
 from sitl.workers import report_progress
 from tests.fuzz.mavlink import mavlink_packets, resealed

@@ -21,8 +21,15 @@ from companion.types.flight import Role
 from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
 from companion.types.status import Status
 from companion.types.tick import Inbox, Outbox
-from companion.wire.messages import StatusReport, WireError, decode_reply, decode_report, encode
-from companion.wire.peer import decode_peer, encode_peer
+from companion.wire.messages import (
+    StatusReport,
+    WireError,
+    decode_peer,
+    decode_reply,
+    decode_report,
+    encode,
+    encode_peer,
+)
 from sitl.flight.lockstep import NOT_TIMED
 from tests.fuzz.plant import HOVER_THRUST_NORM, TICK_S, Plant
 

@@ -14,8 +14,15 @@ from companion.types.commands import CONTENT, Command, CommandName, Lead, Refere
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FormationChange, HeldReference, LeaderBeacon
 from companion.types.peers import LeaderReport, PeerPacket, ReceivedTarget, ReceivedTraffic, TargetSample, TrafficSample
-from companion.wire.messages import WireError, decode_command, decode_target, decode_traffic, encode
-from companion.wire.peer import decode_peer, encode_peer
+from companion.wire.messages import (
+    WireError,
+    decode_command,
+    decode_peer,
+    decode_target,
+    decode_traffic,
+    encode,
+    encode_peer,
+)
 from tests.fuzz.fleet import OPERATOR, Hostile, HostileFleet
 from tests.fuzz.mavlink import HostileTelemetry
 from tests.fuzz.mutation import mutated, other

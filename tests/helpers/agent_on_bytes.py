@@ -26,8 +26,7 @@ from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
 from companion.types.status import NetworkState, Status
 from companion.types.tick import Inbox
-from companion.wire.messages import StatusReport, encode
-from companion.wire.peer import decode_peer, encode_peer
+from companion.wire.messages import StatusReport, decode_peer, encode, encode_peer
 from tests.fuzz.plant import PARAMETERS
 
 M, P, C = mavlink, FlightPhase, CommandName

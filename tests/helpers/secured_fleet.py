@@ -32,8 +32,7 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.wire.keys import abort_key, command_key, peer_key, reply_key, status_key
-from companion.wire.messages import encode
-from companion.wire.peer import encode_peer
+from companion.wire.messages import encode, encode_peer
 from fault_table import FaultRow
 from process_fleet import Ground
 from processes import free_fleet_offset

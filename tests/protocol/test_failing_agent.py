@@ -22,7 +22,7 @@ from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.values import ZERO3
 from companion.wire.keys import peer_key
-from companion.wire.peer import decode_peer
+from companion.wire.messages import decode_peer
 from process_fleet import UNDER_WAY, TappedFlight
 from processes import agent, faulty_agent, until
 

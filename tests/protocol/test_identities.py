@@ -27,8 +27,7 @@ from companion.types.commands import Command, CommandName
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, TargetSample, TrafficSample
 from companion.wire.keys import abort_key, command_key, peer_key, reply_key, status_key, target_key, traffic_key
-from companion.wire.messages import encode
-from companion.wire.peer import encode_peer
+from companion.wire.messages import encode, encode_peer
 from ground_fleet import PACKET, until
 from processes import free_port
 from secured_fleet import FLEET_NAME, Identities, provisioned, stranger, tls_of

@@ -34,8 +34,7 @@ from companion.types.notices import Code
 from companion.types.peers import ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic, TrafficSample
 from companion.types.status import Status
 from companion.wire.keys import abort_key, command_key, peer_key, status_key, target_key, traffic_key
-from companion.wire.messages import WIRE_VERSION, Percentiles, StatusReport, Timing, encode
-from companion.wire.peer import encode_peer
+from companion.wire.messages import WIRE_VERSION, Percentiles, StatusReport, Timing, encode, encode_peer
 from ground_fleet import PACKET, until
 from processes import free_port
 

@@ -32,8 +32,7 @@ from companion.link.fleet.zenoh_session import drain
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from companion.wire.keys import ANY, pairing_key
-from companion.wire.messages import WireError
-from companion.wire.peer import decode_peer, encode_peer
+from companion.wire.messages import WireError, decode_peer, encode_peer
 
 READ_BYTES = 16_384  # a change of MAX_VEHICLES slots with a tag for each vehicle has 11,000; most packets a few hundred
 DATAGRAMS_PER_VEHICLE = 8  # read in one tick

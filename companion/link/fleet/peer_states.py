@@ -19,7 +19,7 @@ from companion.link.fleet.zenoh_session import drain
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.wire.keys import distant_key, peer_key
-from companion.wire.peer import encode_peer
+from companion.wire.messages import encode_peer
 
 PACKETS_PER_VEHICLE = 8  # used at most of each tick, the newest
 # Messages that wait for a tick: what is no packet is dropped before it can displace one. To refuse one takes 10 us, so in a

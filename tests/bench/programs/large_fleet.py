@@ -33,7 +33,7 @@ from companion.link.fleet.zenoh_session import SETTINGS, THREADS, drain
 from companion.link.tick import PERIOD_S
 from companion.types.peers import PeerPacket
 from companion.wire.keys import distant_key, peer_key
-from companion.wire.peer import decode_peer, encode_peer
+from companion.wire.messages import decode_peer, encode_peer
 from tests.bench.figures import percentile
 from tests.bench.programs.vehicle import Input, NewestStates, TickGrid, example_packet
 

@@ -21,7 +21,7 @@ from msgspec.structs import replace
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.types.peers import PeerPacket
-from companion.wire.peer import decode_peer, encode_peer
+from companion.wire.messages import decode_peer, encode_peer
 from sitl.links.ports import LOOPBACK
 from tests.bench.figures import percentile
 from tests.bench.programs.vehicle import Input, NewestStates, TickGrid, example_packet, ignore_refused

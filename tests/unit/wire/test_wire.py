@@ -36,12 +36,13 @@ from companion.wire.messages import (
     Timing,
     WireError,
     decode_command,
+    decode_peer,
     decode_reply,
     decode_report,
     decode_target,
     encode,
+    encode_peer,
 )
-from companion.wire.peer import decode_peer, encode_peer
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 vectors = st.tuples(numbers, numbers, numbers)
@@ -378,5 +379,7 @@ def test_non_finite_numbers_pass_the_decoder() -> None:
 
 def test_decoders_leave_the_interpreter_whole() -> None:
     """msgspec frees the decoders at the end: a type that it lays out wrongly aborts the process there."""
-    ended = subprocess.run([sys.executable, "-c", "import companion.wire.messages, companion.wire.peer"], check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", "import companion.wire.messages, companion.wire.messages"], check=False
+    )
     assert ended.returncode == 0

@@ -16,13 +16,14 @@ from companion.wire.messages import (
     StatusReport,
     Timing,
     decode_command,
+    decode_peer,
     decode_reply,
     decode_report,
     decode_target,
     decode_traffic,
     encode,
+    encode_peer,
 )
-from companion.wire.peer import decode_peer, encode_peer
 
 CHANGE = FormationChange(9, ((2, (-2.0, 1.0, 0.5)), (3, (-4.0, -1.0, 0.25))), 61.5, 7.5, absent=(5,))
 

@@ -30,7 +30,7 @@ from companion.types.formation import FlownSlot, FormationChange, Heading, HeldR
 from companion.types.notices import Code
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.values import MAX_NUMBER, MAX_VEHICLES, ZERO3
-from companion.wire.peer import encode_peer
+from companion.wire.messages import encode_peer
 from processes import free_port
 
 FLEET = FleetConfig(
