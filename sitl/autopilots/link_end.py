@@ -266,7 +266,7 @@ class Schedule:
         self._defaults = rates_hz
         self._period_s = {message_id: 1.0 / rate_hz for message_id, rate_hz in rates_hz.items() if rate_hz > 0.0}
         self._due_s = dict.fromkeys(self._period_s, now_s)
-        self._next_s = now_s
+        self.next_s = now_s - EPSILON_S  # before it nothing is due
 
     def set_rate(self, message_id: int, rate_hz: float, now_s: float) -> None:
         """Set a rate; the first message is due one period from now. 0 is off."""
@@ -275,7 +275,7 @@ class Schedule:
         if rate_hz > 0.0:
             self._period_s[message_id] = 1.0 / rate_hz
             self._due_s[message_id] = now_s + self._period_s[message_id]
-        self._next_s = min(self._due_s.values(), default=inf)
+        self.next_s = min(self._due_s.values(), default=inf) - EPSILON_S
 
     def postpone(self, message_id: int) -> None:
         """Skip a message that is due; it is due again one period later."""
@@ -290,7 +290,7 @@ class Schedule:
 
     def due(self, now_s: float) -> list[int]:
         """Messages to be sent now. They are evenly spaced: a late step does not shift the following ones."""
-        if now_s < self._next_s - EPSILON_S:
+        if now_s < self.next_s:
             return []
         ready = [message_id for message_id, due_s in self._due_s.items() if now_s >= due_s - EPSILON_S]
         ready = self._without_old_news(ready)
@@ -298,7 +298,7 @@ class Schedule:
             period_s = self._period_s[message_id]
             next_s = self._due_s[message_id] + period_s
             self._due_s[message_id] = next_s if next_s > now_s else now_s + period_s
-        self._next_s = min(self._due_s.values(), default=inf)
+        self.next_s = min(self._due_s.values(), default=inf) - EPSILON_S
         return ready
 
     def _without_old_news(self, ready: list[int]) -> list[int]:
@@ -339,6 +339,11 @@ class LinkEnd:
         if self._autopilot.texts and self._sends_texts():
             yield from self._encoded(self.receiver.texts(self._autopilot.texts))
 
+    @property
+    def has_changes(self) -> bool:
+        """Whether `changes` yields something."""
+        return self._sends_changes() and self._origin_sent != self._autopilot.origin_changes
+
     def changes(self) -> Iterator[bytes]:
         """Messages that are sent on change, independently of the rates."""
         yield from self._encoded(self._changes())
@@ -353,7 +358,7 @@ class LinkEnd:
         return True
 
     def _changes(self) -> Iterator[MavlinkMessage]:
-        if self._sends_changes() and self._origin_sent != self._autopilot.origin_changes:
+        if self.has_changes:
             self._origin_sent = self._autopilot.origin_changes
             yield from self._built(self.ON_CHANGE)
 

@@ -26,7 +26,7 @@ from companion.types.tick import Inbox, Outbox
 from companion.types.values import Vector3
 from companion.wire.messages import Percentiles, StatusReport, Timing
 from companion.wire.rounding import as_sent
-from sitl.autopilots.autopilot import DT_S
+from sitl.autopilots.autopilot import DT_S, FlightMode
 from sitl.autopilots.types import AUTOPILOT_TYPES
 from sitl.flight.files import autopilot_file, ids_of, reached_stand_in, vehicle_file
 from sitl.flight.scenario import Scenario
@@ -55,27 +55,27 @@ class VirtualStandIn:
         self.link = DirectLink(self.autopilot, behaviour.onboard_link(self.autopilot), links, phase_s)
         self._track = array("d")  # time, state, thrust: flat, because a study keeps many of them
         self._modes: list[tuple[bool, str]] = []
-        self._commanded = bytearray()  # with each row: whether an agent commands the attitude
+        self._commanded = bytearray()  # with each row: whether the autopilot flies attitudes that its agent sends
+        self._mode: FlightMode | None = None  # of the last row, its name, and whether attitudes are flown in it
+        self._mode_name, self._takes_attitudes = "", False
 
     def step(self, now_s: float) -> None:
         """Advance by one step to this time."""
         self.link.deliver(now_s)
         self.autopilot.step()
         self.link.send_telemetry(now_s)
-        self.autopilot.texts.clear()
 
     def record(self, now_s: float) -> None:
+        """Add a row to the track."""
         autopilot, quad = self.autopilot, self.autopilot.quad
+        if autopilot.mode is not self._mode:
+            self._mode, self._mode_name = autopilot.mode, autopilot.mode.name
+            mode, _ = DIALECTS[autopilot.kind].mode_of(autopilot.mode.custom_mode)
+            self._takes_attitudes = mode is AutopilotMode.OFFBOARD
         self._track.extend((now_s, *quad.state[:STATE_KEPT], quad.thrust_norm))
-        self._modes.append((autopilot.armed, autopilot.mode.name))
-        self._commanded.append(self._is_commanded(now_s))
-
-    def _is_commanded(self, now_s: float) -> bool:
-        """Whether the autopilot flies attitudes that its agent sends."""
-        if not self.autopilot.armed or now_s - self.link.setpoint_s >= STREAM_ENDED_AFTER_S:
-            return False
-        mode, _ = DIALECTS[self.autopilot.kind].mode_of(self.autopilot.mode.custom_mode)
-        return mode is AutopilotMode.OFFBOARD
+        self._modes.append((autopilot.armed, self._mode_name))
+        streams = now_s - self.link.setpoint_s < STREAM_ENDED_AFTER_S
+        self._commanded.append(self._takes_attitudes and streams and autopilot.armed)
 
     def commanded(self) -> BoolArray:
         """Whether an agent commanded the attitude (k,), at the times of the track."""
@@ -258,7 +258,7 @@ class VirtualAgent:
             self.link.drain(now_s),
             self._network.receive(self.vehicle_id, now_s),
             self._commands,
-            targets=tuple(ReceivedTarget(now_s, name, target) for name, target in self._targets),
+            targets=tuple([ReceivedTarget(now_s, name, target) for name, target in self._targets]),
         )
         self._commands, self._targets = (), ()
         if not runs:  # the input is lost: nothing waits for the next process

@@ -126,7 +126,8 @@ class DirectLink:
         self._telemetry_delay_s = links.telemetry_delay_s
         self._setpoint_delay_s = links.setpoint_delay_s
         self._end = end
-        end.schedule.reset(rates_hz(autopilot.kind), phase_s)
+        self._schedule = end.schedule
+        self._schedule.reset(rates_hz(autopilot.kind), phase_s)
         self._translator = Translator(autopilot.system_id, autopilot.kind)
         self._to_agent: deque[Telemetry] = deque()  # in the order of `received_s`
         self._positions_s: deque[float] = deque()  # when those among them arrive
@@ -137,8 +138,9 @@ class DirectLink:
 
     def deliver(self, now_s: float) -> None:
         """Deliver to the autopilot what has arrived by now."""
-        while self._to_autopilot and self._to_autopilot[0][0] <= now_s:
-            _, what = self._to_autopilot.popleft()
+        waiting = self._to_autopilot
+        while waiting and waiting[0][0] <= now_s:
+            _, what = waiting.popleft()
             if isinstance(what, AttitudeSetpoint):
                 self.autopilot.take_setpoint(what)
             else:
@@ -148,10 +150,13 @@ class DirectLink:
         """Send the texts and the telemetry that are due."""
         if self.autopilot.texts:
             self._send(self._end.texts(), now_s)
-        if self.autopilot.origin_changes:  # the agent requests the first one itself
+            self.autopilot.texts.clear()
+        if self.autopilot.origin_changes and self._end.has_changes:  # the agent requests the first one itself
             self._send(self._end.changes(), now_s)
+        if now_s < self._schedule.next_s:
+            return
         received_s = now_s + self._telemetry_delay_s
-        for message_id in self._end.schedule.due(now_s):
+        for message_id in self._schedule.due(now_s):
             samples = SAMPLES[message_id](self.autopilot, received_s)
             self._to_agent.extend(samples)
             if samples and message_id == M.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
@@ -171,9 +176,9 @@ class DirectLink:
 
     def drain(self, now_s: float) -> tuple[Telemetry, ...]:
         """All telemetry that has arrived since the last call."""
-        arrived = []
-        while self._to_agent and self._to_agent[0].received_s <= now_s:
-            arrived.append(self._to_agent.popleft())
+        waiting, arrived = self._to_agent, []
+        while waiting and waiting[0].received_s <= now_s:
+            arrived.append(waiting.popleft())
         return tuple(arrived)
 
     def command(self, target: AttitudeTarget, now_s: float) -> None:

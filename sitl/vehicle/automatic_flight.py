@@ -251,15 +251,11 @@ class GroundContact:
 
     def __init__(self) -> None:
         self.landed = True
+        self.flies = False  # off the ground in the last step
         self.flown = False  # since it was armed
         self._armed_s = 0.0
         self._landed_s = 0.0
         self._still_since_s: float | None = None
-
-    @property
-    def flies(self) -> bool:
-        """Whether it was off the ground in the last step."""
-        return not self.landed and self._still_since_s is None
 
     def arm(self, now_s: float) -> None:
         self._armed_s = now_s
@@ -269,14 +265,14 @@ class GroundContact:
         """To be called once per step while armed."""
         if not on_ground:
             took_off = self.landed
-            self.flown, self.landed, self._still_since_s = True, False, None
+            self.flies, self.flown, self.landed, self._still_since_s = True, True, False, None
             return Contact.TOOK_OFF if took_off else None
         if self.landed:
             return None
         if not low_thrust:
-            self._still_since_s = None
+            self.flies, self._still_since_s = True, None
         elif self._still_since_s is None:
-            self._still_since_s = now_s
+            self.flies, self._still_since_s = False, now_s
         elif now_s - self._still_since_s >= LANDED_AFTER_S:
             self.landed, self._landed_s = True, now_s
             return Contact.LANDED

@@ -44,35 +44,35 @@ class AttitudeControl:
 
     def __init__(self, loops: Loops, inertia_kg_m2: Vector3, first: AttitudeSetpoint, dt_s: float) -> None:
         """`first` is followed until the delay has passed."""
-        self._loops = loops
         jx, jy, jz = inertia_kg_m2
+        self._angle_gains = (loops.tilt_gain_1_s, loops.yaw_gain_1_s)
+        self._limits = (loops.max_rate_rad_s, loops.max_yaw_rate_rad_s)
         self._rate_gains = (jx * loops.rate_gain_1_s, jy * loops.rate_gain_1_s, jz * loops.yaw_rate_gain_1_s)
         self._delayed = deque([first] * max(1, round(loops.delay_s / dt_s)))
 
     def moments_n_m(self, setpoint: AttitudeSetpoint, measured: Quaternion, p: float, q: float, r: float) -> Vector3:
-        """Moments about the body axes in the next step, from the measured attitude and body rates [rad/s]."""
-        self._delayed.append(setpoint)
-        wanted_p, wanted_q, wanted_r = self._wanted_rates(self._delayed.popleft(), measured)
-        gain_p, gain_q, gain_r = self._rate_gains
-        return (gain_p * (wanted_p - p), gain_q * (wanted_q - q), gain_r * (wanted_r - r))
+        """Moments about the body axes in the next step, from the measured attitude and body rates [rad/s].
 
-    def _wanted_rates(self, setpoint: AttitudeSetpoint, measured: Quaternion) -> Vector3:
-        """Body rates p, q, r [rad/s] that turn the measured attitude towards the setpoint by the shorter rotation."""
-        loops = self._loops
+        The outer loop turns the measured attitude towards the setpoint by the shorter rotation.
+        """
+        self._delayed.append(setpoint)
+        setpoint = self._delayed.popleft()
         if setpoint.rates_rad_s is not None:
-            p, q, r = setpoint.rates_rad_s
+            to_p, to_q, to_r = setpoint.rates_rad_s
         else:
+            tilt_gain, yaw_gain = self._angle_gains
             ex, ey, ez = rotation_error(measured, setpoint.quaternion)
-            p, q, r = loops.tilt_gain_1_s * ex, loops.tilt_gain_1_s * ey, loops.yaw_gain_1_s * ez
+            to_p, to_q, to_r = tilt_gain * ex, tilt_gain * ey, yaw_gain * ez
             if setpoint.yaw_rate_rad_s:
                 w, x, y, z = measured
-                p += setpoint.yaw_rate_rad_s * 2.0 * (x * z - w * y)
-                q += setpoint.yaw_rate_rad_s * 2.0 * (y * z + w * x)
-                r += setpoint.yaw_rate_rad_s * (1.0 - 2.0 * (x * x + y * y))
-        most, most_yaw = loops.max_rate_rad_s, loops.max_yaw_rate_rad_s
-        if -most <= p <= most and -most <= q <= most and -most_yaw <= r <= most_yaw:  # nearly always
-            return (p, q, r)
-        return (clamped(p, most), clamped(q, most), clamped(r, most_yaw))
+                to_p += setpoint.yaw_rate_rad_s * 2.0 * (x * z - w * y)
+                to_q += setpoint.yaw_rate_rad_s * 2.0 * (y * z + w * x)
+                to_r += setpoint.yaw_rate_rad_s * (1.0 - 2.0 * (x * x + y * y))
+        most, most_yaw = self._limits
+        if not (-most <= to_p <= most and -most <= to_q <= most and -most_yaw <= to_r <= most_yaw):  # rarely
+            to_p, to_q, to_r = clamped(to_p, most), clamped(to_q, most), clamped(to_r, most_yaw)
+        gain_p, gain_q, gain_r = self._rate_gains
+        return (gain_p * (to_p - p), gain_q * (to_q - q), gain_r * (to_r - r))
 
 
 def rotation_error(measured: Quaternion, wanted: Quaternion) -> Vector3:

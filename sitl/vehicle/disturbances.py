@@ -75,13 +75,13 @@ class Gusts:
     """Steady wind with first-order gusts, m/s in ENU."""
 
     def __init__(self, wind: Wind, random: Random, dt_s: float) -> None:
-        self._mean = wind.mean_enu_m_s
-        self._quiet = wind.gust_sd_m_s == 0.0
+        self.mean_m_s = wind.mean_enu_m_s
+        self.quiet = wind.gust_sd_m_s == 0.0  # the mean alone
         self._normals = Normals(random)
         self._gusts = GaussMarkov(self._normals, (wind.gust_sd_m_s,) * 3, wind.gust_time_s, dt_s)
 
     def step(self) -> Vector3:
-        if self._quiet:
-            return self._mean
-        (x, y, z), (gust_x, gust_y, gust_z) = self._mean, self._gusts.step(*self._normals.take(3))
+        if self.quiet:
+            return self.mean_m_s
+        (x, y, z), (gust_x, gust_y, gust_z) = self.mean_m_s, self._gusts.step(*self._normals.take(3))
         return (x + gust_x, y + gust_y, z + gust_z)

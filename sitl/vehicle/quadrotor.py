@@ -38,6 +38,7 @@ class Quadrotor:
         yaw = quaternion_from_euler(0.0, 0.0, radians(file.start_yaw_deg))
         self.state = at_rest(file.start_enu_m, yaw)
         self._ground_z_m = file.start_enu_m[2]
+        self.on_ground = True  # on the ground and not climbing
         self._control = AttitudeControl(loops, airframe.inertia_kg_m2, MOTORS_OFF, dt_s)
         self._gusts = Gusts(file.stand_in.wind, gust_noise, dt_s)
         sensors = file.stand_in.sensor_model()
@@ -115,17 +116,12 @@ class Quadrotor:
         """Roll, pitch, yaw of FLU in ENU."""
         return euler_from_quaternion(self.estimated_quaternion())
 
-    @property
-    def on_ground(self) -> bool:
-        """On the ground and not climbing."""
-        return self._is_on_ground(self.state)
-
     def step(self, setpoint: AttitudeSetpoint, most: int = 1) -> int:
         """Advance by at most so many steps of dt_s under this setpoint, until it is on the ground. Returns their number."""
-        state, error, ground_z_m = self.state, self._error, self._ground_z_m
+        state, error, gusts, ground_z_m = self.state, self._error, self._gusts, self._ground_z_m
         thrust_n = setpoint.thrust_norm * self._newton_per_thrust
         for number in range(1, most + 1):
-            before, wind_enu_m_s = state, self._gusts.step()
+            before, wind_enu_m_s = state, gusts.mean_m_s if gusts.quiet else gusts.step()
             if self._ideal_attitude:
                 state, moments_n_m = self._at_commanded_attitude(state, setpoint), ZERO3
             else:  # the loops know only the estimate
@@ -137,9 +133,9 @@ class Quadrotor:
             if self._steps % ESTIMATE_PERIOD_STEPS == 0:
                 error.step()
             if state[2] <= ground_z_m and state[5] <= 0.0:
-                self.state = self._at_rest(state, before)
+                self.state, self.on_ground = self._at_rest(state, before), True
                 return number
-        self.state = state
+        self.state, self.on_ground = state, False
         return most
 
     def _is_on_ground(self, state: State) -> bool:

@@ -326,6 +326,8 @@ class ArduCopter(Autopilot):
     # ------------------------------------------------------------ ground and modes
 
     def _update_ground_contact(self) -> None:
+        if self._ground.flies and self._ground.flown and not self.quad.on_ground:
+            return  # no change
         self._ground.update(self.quad.on_ground, self._thrust_is_low(), self.time_s)
         landing = self._ground.flown and self.mode in (CopterMode.LAND, CopterMode.RTL)
         delay_s = DISARMED_AFTER_LANDING_S if landing else self.parameters["DISARM_DELAY"] or inf

@@ -337,10 +337,9 @@ class Px4(Autopilot):
     # ------------------------------------------------------------ ground and modes
 
     def _update_ground_contact(self) -> None:
-        on_ground = self.quad.on_ground
-        if self._ground.flies and not on_ground:
+        if self._ground.flies and not self.quad.on_ground:
             return  # no change
-        contact = self._ground.update(on_ground, self._thrust_is_low(), self.time_s)
+        contact = self._ground.update(self.quad.on_ground, self._thrust_is_low(), self.time_s)
         if contact is Contact.TOOK_OFF:
             self.send_text(INFO, "Takeoff detected")
         elif contact is Contact.LANDED:
