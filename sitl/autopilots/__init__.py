@@ -1,1 +1,1 @@
-"""Stand-in autopilots: the common part; one package per make beside it."""
+"""Stand-in autopilots: the common part, and one folder for each autopilot type."""

@@ -40,6 +40,7 @@ REQUESTS_OF_ONE_MESSAGE = {
 }
 
 Answers = Iterator[MavlinkMessage]
+EPSILON_S = 1e-6
 
 
 class Receiver(ABC):
@@ -250,9 +251,6 @@ class Receiver(ABC):
         reply[2] = request[2]  # the session, by which MAVProxy matches answers
         reply[3], reply[4], reply[5], reply[12] = 129, 1, request[3], 10  # NAK, one byte: file not found
         yield M.MAVLink_file_transfer_protocol_message(0, message.get_srcSystem(), message.get_srcComponent(), reply)
-
-
-EPSILON_S = 1e-6
 
 
 class Schedule:

@@ -1,4 +1,4 @@
-"""Flight logs of a stand-in, in memory: from arming on, in the format of its make.
+"""Flight logs of a stand-in, in memory: from arming on, in the format of its type; and the common part of their transfer.
 
 The formats are the real ones with few topics, so that programs that read real logs read these, too. They contain the
 estimate, as real logs do.
@@ -16,6 +16,7 @@ from companion.mavlink.codec import MavlinkMessage, mavlink
 
 PERIOD_S = 0.1
 EPSILON_S = 1e-6
+CHUNK_BYTES = 90  # of LOG_DATA
 
 
 class Logged(Protocol):
@@ -26,7 +27,7 @@ class Logged(Protocol):
 
 
 class LogFormat(Protocol):
-    """The log format of one make."""
+    """The log format of one autopilot type."""
 
     def head(self) -> bytes:
         """The beginning of a file."""
@@ -86,9 +87,6 @@ class StandInLogs:
     def erase(self) -> None:
         self.files.clear()
         self._open = None
-
-
-CHUNK_BYTES = 90  # of LOG_DATA
 
 
 class LogTransfer(ABC):

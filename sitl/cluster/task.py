@@ -1,4 +1,7 @@
-"""What must agree between the machines of a cluster for identical results: code, versions and arithmetic."""
+"""One job as a task of Dask: what runs in a worker, what it reports, and what must agree for identical results.
+
+Results depend on code, versions and arithmetic, which must be the same on all machines of a cluster.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,9 @@ from companion.types.errors import CompanionError, UnusableError
 from sitl.workers import reporting_to
 
 PACKAGES = ("numpy", "scipy", "msgspec", "distributed")
-DIGITS = 12  # of the digest
+DIGEST_DIGITS = 12
+TOPIC = "sitl progress"  # one for all runs: the scheduler keeps the last events of every topic for ever
+REPORT_S = 0.5
 
 
 @cache
@@ -62,7 +67,7 @@ def _sources() -> str:
         for file in sorted(folder.rglob("*.py")):
             digest.update(f"{folder.name}/{file.relative_to(folder)}\0".encode())
             digest.update(file.read_bytes())
-    return digest.hexdigest()[:DIGITS]
+    return digest.hexdigest()[:DIGEST_DIGITS]
 
 
 def _arithmetic() -> str:
@@ -75,14 +80,11 @@ def _arithmetic() -> str:
         *(matrix @ matrix, np.linalg.eigvalsh(matrix @ matrix.T), np.linalg.solve(matrix + 8.0 * np.eye(8), matrix)),
         np.array([function(value) for function in (math.sin, math.exp, math.atan) for value in x.tolist()]),
     ]
-    return sha256(b"".join(values.tobytes() for values in computed)).hexdigest()[:DIGITS]
+    return sha256(b"".join(values.tobytes() for values in computed)).hexdigest()[:DIGEST_DIGITS]
 
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
-
-TOPIC = "sitl progress"  # one for all runs: the scheduler keeps the last events of every topic for ever
-REPORT_S = 0.5
 
 
 class UnfitError(UnusableError):

@@ -1,4 +1,4 @@
-"""Vehicles that another program has started: the file with the MAVLink endpoint of each."""
+"""Autopilots that another program has started: the file with their MAVLink endpoints, and their readiness before a flight."""
 
 from __future__ import annotations
 
@@ -22,6 +22,12 @@ from companion.types.status import Status
 from companion.types.values import Vector3
 from sitl.flight.scenario import Scenario
 from sitl.flight.watch import vehicles_in_words
+
+READY_WITHIN_S = 120.0  # an ArduCopter can be armed 42 s after its start; the rest is for slow machines
+READY_FOR_S = 2.0  # without interruption: a fresh estimate may still jump
+FAR_M = 10.0  # from its start: it was started elsewhere, or has another origin. A shorter distance is from an earlier flight
+HEIGHT_M = 1.0  # above or below its start: the height of the formation would have the same error
+CLOSEST_M = 1.0  # two vehicles nearer than this, and than half their starts' distance, are at the same position
 
 
 class ReachedVehicle(Section, frozen=True):
@@ -73,13 +79,6 @@ def vehicles_of(path: Path, vehicles: Sequence[ReachedVehicle], fleet: FleetConf
                 path, "external_vehicles", f"no vehicle {member.id}, which fleet {fleet.name} has; found {ids}"
             )
     return {member.id: known[member.id] for member in fleet.vehicles}
-
-
-READY_WITHIN_S = 120.0  # an ArduCopter can be armed 42 s after its start; the rest is for slow machines
-READY_FOR_S = 2.0  # without interruption: a fresh estimate may still jump
-FAR_M = 10.0  # from its start: it was started elsewhere, or has another origin. A shorter distance is from an earlier flight
-HEIGHT_M = 1.0  # above or below its start: the height of the formation would have the same error
-CLOSEST_M = 1.0  # two vehicles nearer than this, and than half their starts' distance, are at the same position
 
 
 class Readiness:

@@ -1,4 +1,7 @@
-"""Check before a flight: a path from a leader to every vehicle, and stability, by the criteria of `companion analyze`."""
+"""From a scenario file to a folder of results, under one law or several: check, flights, figures.
+
+How a flight is flown is an argument (`run_flights`); `run_virtual` is `sitl run`, sitl/flight/fly.py has that of `sitl fly`.
+"""
 
 from __future__ import annotations
 

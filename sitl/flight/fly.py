@@ -1,4 +1,4 @@
-"""`sitl fly`: from a scenario file to a folder of figures, flown with real processes."""
+"""Fleets of real processes: `sitl fly` flies a scenario; `sitl fleet` waits for an operator and only lands at its end."""
 
 from __future__ import annotations
 
@@ -34,6 +34,15 @@ from sitl.vehicle.truth import armed_at_m
 
 FLYING_OPERATOR = "sitl-fly"  # another operator that wants to command these vehicles has to take command first
 External = Mapping[int, ReachedVehicle]  # by id
+WAITING_OPERATOR = "sitl-fleet"
+HOW_TO = """\
+fleet {name}, vehicles {ids}. In a second terminal, one after the other:
+  {companion} fleet use {file}        from then on this fleet is meant
+  {companion} fleet doctor
+  {companion} fleet arm        and likewise takeoff, form, ..., land: companion fleet --help
+  {companion} monitor --control        or all of this from a page in the browser
+MAVLink for a ground station: {ground_links}
+Ctrl-C here lands all vehicles and ends."""
 
 
 def run_fly(options: FlyOptions) -> int:
@@ -153,17 +162,6 @@ def _left_in_the_air(watch: FlightWatch, lost: set[int]) -> list[str]:
     if others := sorted(watch.flown_by_others() - lost):
         lines.append(f"{vehicles_in_words(others)} left in the air: another operator or the autopilot set its mode")
     return lines
-
-
-WAITING_OPERATOR = "sitl-fleet"
-HOW_TO = """\
-fleet {name}, vehicles {ids}. In a second terminal, one after the other:
-  {companion} fleet use {file}        from then on this fleet is meant
-  {companion} fleet doctor
-  {companion} fleet arm        and likewise takeoff, form, ..., land: companion fleet --help
-  {companion} monitor --control        or all of this from a page in the browser
-MAVLink for a ground station: {ground_links}
-Ctrl-C here lands all vehicles and ends."""
 
 
 def run_fleet(options: FleetOptions) -> int:

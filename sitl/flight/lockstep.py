@@ -1,4 +1,4 @@
-"""The stand-in vehicles of a scenario in virtual time, with their true tracks."""
+"""The real agents and the stand-ins in one loop and in virtual time: no sockets, no processes, no waiting."""
 
 from __future__ import annotations
 
@@ -42,6 +42,9 @@ TELEMETRY_STEPS = 5  # between two positions, and between two rows of a track
 STREAM_ENDED_AFTER_S = 0.1  # without a newer attitude target
 OFF_GROUND_M = 0.1  # higher than this above its start
 STATE_KEPT = 10  # numbers of a state: position, velocity, attitude
+OPERATOR = "sitl-run"
+_NONE = Percentiles(0.0, 0.0, 0.0)
+NOT_TIMED = Timing(0.0, 0, 0, _NONE, _NONE, 0.0, 0.0)  # in virtual time no tick is late
 
 
 class VirtualStandIn:
@@ -123,11 +126,6 @@ class World:
 def _phase_s(file: AutopilotFile) -> float:
     """Phase of a vehicle's telemetry within its period; agents do not tick together by design."""
     return Random(f"{file.stand_in.seed} {file.id} phase").randrange(TELEMETRY_STEPS) * DT_S
-
-
-OPERATOR = "sitl-run"
-_NONE = Percentiles(0.0, 0.0, 0.0)
-NOT_TIMED = Timing(0.0, 0, 0, _NONE, _NONE, 0.0, 0.0)  # in virtual time no tick is late
 
 
 class Lockstep:

@@ -1,4 +1,4 @@
-"""The timeline of a flight: commands in order, with their vehicles, contents and times."""
+"""Scenario files: the fleet, its starts, the reference, the simulated world and the timeline of commands of a whole flight."""
 
 from __future__ import annotations
 

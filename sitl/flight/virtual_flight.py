@@ -1,4 +1,4 @@
-"""Python's cyclic garbage collector, run less often while a flight is computed in virtual time."""
+"""One scenario flown in virtual time, from the ground to the ground."""
 
 from __future__ import annotations
 

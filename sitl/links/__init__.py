@@ -1,1 +1,1 @@
-"""What carries messages: sockets, MAVLink link ends, schedules, the simulated network."""
+"""What carries messages: sockets, the direct link of virtual time, the networks between agents, and the ports of a fleet."""

@@ -1,8 +1,13 @@
-"""TCP between two agents: bytes are never lost; a lost segment is sent again, and all that follow wait for it.
+"""The network between the agents of one machine, emulated in user space: `python -m sitl.links.emulated_network FILE`.
 
-A model of a sender for small messages: what is written while a segment waits for its retransmission goes out with it. The
-first retransmission comes after a round trip, when later segments show the loss (RFC 8985), the next ones after the
-retransmission timeout, which doubles each time (RFC 6298, with the least timeout of Linux).
+Vehicle J reaches vehicle I at the address 127.1.I.J, where this process listens: for the TCP streams of Zenoh, which the
+vehicle with the larger id opens (sitl/flight/files.py), and for datagrams. All of 127.0.0.0/8 is loopback on Linux. On SIGHUP
+the file is read again, so that a test can change the links of a fleet in flight.
+
+Streams: bytes are never lost; a lost segment is sent again, and all that follow wait for it. It is a model of a sender for
+small messages: what is written while a segment waits for its retransmission goes out with it. The first retransmission comes
+after a round trip, when later segments show the loss (RFC 8985), the next ones after the retransmission timeout, which
+doubles each time (RFC 6298, with the least timeout of Linux).
 """
 
 from __future__ import annotations
@@ -33,6 +38,7 @@ LONGEST_TIMEOUT_S = 120.0
 WAITING_BYTES = 1 << 20  # then the sender is no longer read
 
 Connect = Callable[[], Awaitable[asyncio.StreamWriter]]
+DATAGRAM_BYTES = 65_535
 
 
 class StreamDirection:
@@ -98,9 +104,6 @@ class StreamDirection:
         finally:
             if writer:
                 writer.close()
-
-
-DATAGRAM_BYTES = 65_535
 
 
 class EmulatedDatagrams:

@@ -1,4 +1,4 @@
-"""What a path of the network between two agents does to packets: delay, jitter, loss, duplicates, partitions. No clocks."""
+"""The network between agents. `Path` is what one direction does to packets, `Network` all of it in virtual time. No clocks."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from random import Random
 from companion.core.consensus.neighbours import LOW_RATE_TICKS
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from sitl.vehicle.config import Links
+
+SUBSCRIBED_AFTER_S = 0.05  # a change of rate takes effect, beside the delay of the path
 
 
 class Path:
@@ -43,9 +45,6 @@ class Path:
         if duplicates and self._random.random() < duplicates:
             return arrives_s, now_s + self.delay_s()
         return (arrives_s,)
-
-
-SUBSCRIBED_AFTER_S = 0.05  # a change of rate takes effect, beside the delay of the path
 
 
 class Network:

@@ -1,6 +1,6 @@
-"""Sockets of a stand-in's links: UDP with one peer, TCP with one client at a time.
+"""Stand-in autopilots behind sockets, in real time: any number of them in one process, in one loop.
 
-They are read where a step begins, as an autopilot does, so that no packet wakes the process by itself.
+Sockets are read where a step begins, as an autopilot does, so that no packet wakes the process by itself.
 """
 
 from __future__ import annotations
@@ -33,6 +33,10 @@ from sitl.vehicle.truth import TRUTH_HEADER, truth_row
 READ_BYTES = 65_536
 DATAGRAMS_PER_STEP = 64  # of one link; the rest waits for the next step
 MOST_WAITING_BYTES = 65_536  # for a client that does not read; further packets are dropped
+MAX_LAG_S = 0.5  # longer pauses of the machine are skipped
+TRUTH_STEPS, FLUSH_STEPS = 5, 250
+GROUPS = 4  # of vehicles, 1 ms after each other
+PORT_HINT = "stop what uses the port, or move all ports with --port-offset"
 
 
 class SocketLink(Protocol):
@@ -176,12 +180,6 @@ class TcpSocketLink:
             return
         except OSError:
             self._disconnect()
-
-
-MAX_LAG_S = 0.5  # longer pauses of the machine are skipped
-TRUTH_STEPS, FLUSH_STEPS = 5, 250
-GROUPS = 4  # of vehicles, 1 ms after each other
-PORT_HINT = "stop what uses the port, or move all ports with --port-offset"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,7 @@
 """Automatic flight of a stand-in: hold, take-off, landing, return, and a manual mode without a pilot.
 
-All control uses the estimate. The tasks of the flight modes and their speeds are set by the stand-in of each make.
+All control uses the estimate. Each autopilot type sets the tasks of its flight modes and their speeds. Beside it stands the
+detection of landings.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ DRIFT_TILT_RAD = radians(0.6)  # error of the level attitude, which makes it dri
 TAKEN_OFF_WITHIN_M, RETURN_HEIGHT_WITHIN_M = 0.1, 0.5
 FAR_DOWN_M = 100.0
 LEAST_COS_TILT = 0.1
+LANDED_AFTER_S = 0.5  # on the ground with little thrust
 
 
 class Task(Enum):
@@ -234,9 +236,6 @@ def cos_tilt(attitude: Quaternion) -> float:
     """Cosine of the angle between the body's z axis and the vertical."""
     _, x, y, _ = attitude
     return 1.0 - 2.0 * (x * x + y * y)
-
-
-LANDED_AFTER_S = 0.5  # on the ground with little thrust
 
 
 class Contact(Enum):

@@ -1,4 +1,8 @@
-"""Moments from attitude setpoints: a cascade of attitude and rate loops with the measured step responses of an autopilot."""
+"""The loops of a stand-in: attitude control, as fast as measured, and position control for its automatic modes.
+
+Position control uses the estimate: a damped proportional loop with an integrator follows a target that moves with limited
+speed and acceleration.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,14 @@ from companion.core.control.setpoint import attitude_target, limit_acceleration
 from companion.geometry.frames import Quaternion, quaternion_from_euler
 from companion.geometry.vectors import clamped
 from companion.types.values import Vector3
+
+LEVEL_GAINS = (1.6, 2.2, 0.4)  # on position [1/s^2], velocity [1/s] and the integral of position [1/s^3]
+CLIMB_GAINS = (4.0, 3.6, 0.4)
+MAX_INTEGRAL_M_S2 = 5.5  # acceleration that MAX_TILT_RAD can compensate
+MAX_ERROR_M = 2.0  # limit of the error, for a vehicle that cannot follow
+MAX_TILT_RAD = radians(30.0)
+ACCELERATION_M_S2, CLIMB_BRAKING_M_S2 = 2.0, 1.5
+MIN_LIFT_RATIO, MAX_LIFT_RATIO = 0.3, 1.7  # vertical thrust over weight
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,15 +104,6 @@ def rotation_error(measured: Quaternion, wanted: Quaternion) -> Vector3:
         return (2.0 * ex, 2.0 * ey, 0.0)
     yaw = 2.0 * ez / turn
     return (2.0 * (ew * ex - ez * ey) / turn, 2.0 * (ew * ey + ez * ex) / turn, yaw if ew >= 0.0 else -yaw)
-
-
-LEVEL_GAINS = (1.6, 2.2, 0.4)  # on position [1/s^2], velocity [1/s] and the integral of position [1/s^3]
-CLIMB_GAINS = (4.0, 3.6, 0.4)
-MAX_INTEGRAL_M_S2 = 5.5  # acceleration that MAX_TILT_RAD can compensate
-MAX_ERROR_M = 2.0  # limit of the error, for a vehicle that cannot follow
-MAX_TILT_RAD = radians(30.0)
-ACCELERATION_M_S2, CLIMB_BRAKING_M_S2 = 2.0, 1.5
-MIN_LIFT_RATIO, MAX_LIFT_RATIO = 0.3, 1.7  # vertical thrust over weight
 
 
 @dataclass(slots=True)

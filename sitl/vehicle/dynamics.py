@@ -1,4 +1,8 @@
-"""Rotations by small angles about the body's own axes."""
+"""The rigid body of eq. 1-5 with motor lag and linear drag, and rotations by small angles. Pure; plain floats.
+
+State, in this order: position x y z [m] and velocity [m/s] in ENU, attitude quaternion w x y z (FLU body to ENU), body rates
+p q r [rad/s], present collective thrust [N] and moments about the body axes [N m] of the motors.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,9 @@ SmallTurn = tuple[float, float, float, float]
 """Half of the angles about x, y and z [rad], and the norm of the quaternion (1, a, b, c) that they make."""
 
 NO_TURN: SmallTurn = (0.0, 0.0, 0.0, 1.0)
+State = tuple[float, ...]  # 17 numbers
+POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
+THRUST = 13
 
 
 def small_turn(angles_rad: Vector3) -> SmallTurn:
@@ -34,12 +41,6 @@ def turned(quaternion: Quaternion, turn: SmallTurn) -> Quaternion:
         (y + w * b + z * a - x * c) / norm,
         (z + w * c + x * b - y * a) / norm,
     )
-
-
-State = tuple[float, ...]  # 17 numbers
-
-POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
-THRUST = 13
 
 
 def at_rest(position_enu_m: Vector3, quaternion: tuple[float, float, float, float]) -> State:

@@ -42,6 +42,7 @@ from sitl.vehicle.control import AttitudeSetpoint
 
 SQUARE_OF_UNIT_WITHIN = 1e-3
 NO_VECTOR: Vector3 = (nan, nan, nan)
+SHORTEST_INTERVAL_US = 2000.0  # 0.8 of the period of a 400 Hz loop; shorter intervals, and this one, are too fast
 
 
 def setpoint_of(message: MavlinkMessage) -> AttitudeSetpoint | None:
@@ -81,9 +82,6 @@ def course_of(message: MavlinkMessage) -> Course | None:
         nan if mask & IGNORE_YAW else euler_enu_from_ned(0.0, 0.0, message.yaw)[2],
         0.0 if mask & IGNORE_YAW_RATE else flu_from_frd((0.0, 0.0, message.yaw_rate))[2],
     )
-
-
-SHORTEST_INTERVAL_US = 2000.0  # 0.8 of the period of a 400 Hz loop; shorter intervals, and this one, are too fast
 
 
 class ArduPilotReceiver(Receiver):

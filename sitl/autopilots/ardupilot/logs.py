@@ -1,4 +1,7 @@
-"""ArduPilot's log format (DataFlash, .bin): estimated position and attitude."""
+"""ArduPilot's logs: its format (DataFlash, .bin), and its side of the log protocol.
+
+It answers only on the ground, on one link at a time, with a few packets per loop.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +25,9 @@ MESSAGES = (
     (2, "POS", "<Qiiff", "QLLff", "TimeUS,Lat,Lng,Alt,RelHomeAlt"),
 )
 PACKED = {name: (number, struct.Struct(fields)) for number, name, fields, _, _ in MESSAGES}
+# As measured over TCP: 1600 entries and 1.3 MB a second.
+ENTRIES_PER_STEP, PACKETS_PER_STEP = 6, 58
+HIGHEST_ID = 0xFFFF
 
 
 class DataFlash:
@@ -51,11 +57,6 @@ class DataFlash:
 def _message(name: str, *values: float | bytes) -> bytes:
     number, fields = PACKED[name]
     return HEAD + bytes([number]) + fields.pack(*values)
-
-
-# As measured over TCP: 1600 entries and 1.3 MB a second.
-ENTRIES_PER_STEP, PACKETS_PER_STEP = 6, 58
-HIGHEST_ID = 0xFFFF
 
 
 @dataclass(slots=True)

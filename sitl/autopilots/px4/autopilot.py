@@ -92,7 +92,7 @@ PX4_LOOPS = Loops(
     max_rate_rad_s=radians(220.0),
     max_yaw_rate_rad_s=radians(109.0),
 )
-FAILSAFE_PERIOD_S = 0.1  # of the check for lost streams, and so the largest delay of a failsafe
+FAILSAFE_PERIOD_S = 0.1  # the check for lost streams; so the largest delay of a failsafe
 STREAM_LOST_GRACE_S = 0.01  # with the period, a lost stream is detected after 1.01 to 1.12 s
 STREAM_BACK_AFTER_S = 0.03  # a stream that returns counts after this time
 NOT_HEALTHY = "Resolve system health failures first"

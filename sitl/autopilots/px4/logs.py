@@ -1,4 +1,7 @@
-"""PX4's log format (ULog, version 1): estimated position and attitude."""
+"""PX4's logs: its format (ULog, version 1), and its side of the log protocol.
+
+It does not answer without logs, answers also in the air, and sends all requested data at once.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ TOPICS = (
 )
 LOCAL_POSITION, ATTITUDE = range(len(TOPICS))
 NAME = b"char[3] sys_name"
+END_OF_LIST = 0xFFFF
 
 
 class ULog:
@@ -51,9 +55,6 @@ class ULog:
 
 def _message(kind: str, payload: bytes) -> bytes:
     return struct.pack("<HB", len(payload), ord(kind)) + payload
-
-
-END_OF_LIST = 0xFFFF
 
 
 @dataclass(frozen=True, slots=True)
