@@ -5,40 +5,15 @@ The flight core computes for one vehicle. This analysis covers the whole fleet, 
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from math import atan2, inf, log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.analysis.response import Graph, settled_prcs
 from companion.core.consensus.law import FormationLaw, Gains, neighbour_weights
-
-Graph = Mapping[int, Collection[int]]  # vehicle id -> ids of its neighbours
-
-
-def settled_prcs(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
-    """PrC p_i at convergence of Algorithm 1: hops to the nearest leader + 1, or n without a path."""
-    return dict.fromkeys(graph, len(graph)) | {i: hops + 1 for i, hops in _hops(graph, leaders).items()}
-
-
-def reached_from(graph: Graph, leaders: Collection[int]) -> set[int]:
-    """Vehicles with a path to a leader. Lemma 1 requires that all vehicles have one."""
-    return set(_hops(graph, leaders))
-
-
-def _hops(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
-    """Hops to the nearest leader, for each vehicle with a path to one."""
-    hops = dict.fromkeys(leaders, 0)
-    waiting = deque(leaders)
-    while waiting:
-        i = waiting.popleft()
-        for j in graph[i]:
-            if j not in hops:
-                hops[j] = hops[i] + 1
-                waiting.append(j)
-    return hops
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,7 +23,7 @@ from companion.analysis.interaction import (
     mode_eigenvalues,
     mode_figures,
 )
-from companion.analysis.prediction import LinearModel
+from companion.analysis.response import LinearModel
 from companion.core.consensus.law import Gains
 
 SHORTEST_S = 1e-3  # lower limit of lag and delays, so that every filter has a state

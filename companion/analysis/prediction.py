@@ -13,26 +13,12 @@ from math import exp
 import numpy as np
 
 from companion.analysis.interaction import Coupling, FloatArray
+from companion.analysis.response import TICK_S, LinearModel
 
-TICK_S = 0.02
 SUBSTEPS = 4
 CHECK_TICKS = 50
 DIVERGED_M = 1e6  # the prediction ends at this error, before an overflow
 AT_REST = 1e-9  # and where no error, velocity or acceleration is larger than this, in m and s
-
-
-@dataclass(frozen=True, slots=True)
-class LinearModel:
-    """Lag and delays of the loop; the defaults are measured values of PX4 and a local network.
-
-    `delay_s` is the delay of the whole loop, including the half tick of the zero-order hold.
-    `feedforward_delay_s` is the age of a neighbour's acceleration command at its use: one tick of
-    the neighbour, and the network.
-    """
-
-    attitude_lag_s: float = 0.2
-    delay_s: float = 0.05
-    feedforward_delay_s: float = TICK_S
 
 
 def errors_over_time(

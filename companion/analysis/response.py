@@ -1,7 +1,7 @@
 """How near two vehicles come while the formation follows a reference: the frequency response of the law.
 
 Lag, delay and drag make every vehicle follow its neighbours late, so turns and braking compress a formation. Each vehicle is a
-double integrator with drag behind a first-order attitude lag and a delay, as in `stability/prediction.py`. With
+double integrator with drag behind a first-order attitude lag and a delay, `LinearModel`. With
 s = j omega, A = s^2 + c s, H = exp(-s D)/(1 + s T) and K = k1 + k2 s, eq. 14 with feed-forward gives for a follower
 
     (A + H K) x_i = (H K + g exp(-s m) A) sum_j w_ij x_j
@@ -13,23 +13,66 @@ x_i/r of each vehicle.
 from __future__ import annotations
 
 from cmath import exp
+from collections import deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import cos, dist, hypot, inf, pi, sin
 
-from companion.core.consensus.law import FormationLaw, neighbour_weights, next_prc
+from companion.core.consensus.law import FormationLaw, neighbour_weights
+from companion.core.filter.motion import LAG_S
 from companion.geometry.curves import Harmonic
 from companion.types.steps import Steps, whole
 from companion.types.values import Vector3
 
-LAG_S, DELAY_S, FEEDFORWARD_DELAY_S = 0.2, 0.05, 0.02  # of stability/prediction.py
+TICK_S = 0.02
 PHASES = 48  # of a lap at which two harmonics are added
 SLOWER, FINER, MOST_STEPS = 1.5, 6, 10  # search for the pace that would do
 OVERSHOOT = 1.3  # of the shift of two vehicles when a motion begins, relative to that of the steady motion; flown: 1.2
 ROUNDING = 0.02  # of the separation: less than sensor errors
 COST_PER_STEP = 700  # see Chain.cost
 
-Graph = Mapping[int, Sequence[int]]
+Graph = Mapping[int, Collection[int]]
+"""Vehicle id -> ids of its neighbours."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinearModel:
+    """Lag and delays of the loop; the defaults are measured values of PX4 and a local network.
+
+    `delay_s` is the delay of the whole loop, including the half tick of the zero-order hold.
+    `feedforward_delay_s` is the age of a neighbour's acceleration command at its use: one tick of
+    the neighbour, and the network.
+    """
+
+    attitude_lag_s: float = LAG_S
+    delay_s: float = 0.05
+    feedforward_delay_s: float = TICK_S
+
+
+MODEL = LinearModel()
+
+
+def settled_prcs(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
+    """PrC p_i at convergence of Algorithm 1: hops to the nearest leader + 1, or n without a path."""
+    return dict.fromkeys(graph, len(graph)) | {i: hops + 1 for i, hops in _hops(graph, leaders).items()}
+
+
+def reached_from(graph: Graph, leaders: Collection[int]) -> set[int]:
+    """Vehicles with a path to a leader. Lemma 1 requires that all vehicles have one."""
+    return set(_hops(graph, leaders))
+
+
+def _hops(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
+    """Hops to the nearest leader, for each vehicle with a path to one."""
+    hops = dict.fromkeys(leaders, 0)
+    waiting = deque(leaders)
+    while waiting:
+        i = waiting.popleft()
+        for j in graph[i]:
+            if j not in hops:
+                hops[j] = hops[i] + 1
+                waiting.append(j)
+    return hops
 
 
 Motion = Sequence[Harmonic]
@@ -59,7 +102,7 @@ class Chain:
     _known: dict[float, dict[int, complex]] = field(init=False, repr=False, compare=False)  # responses by rate
 
     def __post_init__(self) -> None:
-        prcs = _prcs(self.graph, self.leaders)
+        prcs = settled_prcs(self.graph, self.leaders)
         weights = {}
         for i, neighbours in self.graph.items():
             used = neighbours if i not in self.leaders or self.law.leader_uses_neighbours else ()
@@ -82,9 +125,9 @@ class Chain:
     def _responses(self, rate_rad_s: float) -> dict[int, complex]:
         s = 1j * rate_rad_s
         gains, g = self.law.gains, self.law.feedforward
-        plant, follow = s * s + self.drag_1_s * s, exp(-s * DELAY_S) / (1.0 + s * LAG_S)
+        plant, follow = s * s + self.drag_1_s * s, exp(-s * MODEL.delay_s) / (1.0 + s * MODEL.attitude_lag_s)
         fed_back = follow * (gains.position_1_s2 + gains.velocity_1_s * s)
-        from_neighbours = fed_back + g * exp(-s * FEEDFORWARD_DELAY_S) * plant
+        from_neighbours = fed_back + g * exp(-s * MODEL.feedforward_delay_s) * plant
         rows: dict[int, dict[int, complex]] = {}
         right: dict[int, complex] = {}
         for i, neighbours in self.graph.items():
@@ -233,18 +276,6 @@ def _nearest_m(one_m: Vector3, other_m: Vector3, motion: Motion, shifts: Sequenc
             px, py, pz = px + moved * ax, py + moved * ay, pz + moved * az
         nearest_m = min(nearest_m, hypot(px, py, pz))
     return nearest_m
-
-
-def _prcs(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
-    """PrC of each vehicle, once it has settled (Algorithm 1)."""
-    n = len(graph)
-    prcs = {i: 1 if i in leaders else n for i in graph}
-    for _ in graph:
-        after = {i: next_prc(i in leaders, [prcs[j] for j in neighbours], n) for i, neighbours in graph.items()}
-        if after == prcs:
-            break
-        prcs = after
-    return prcs
 
 
 def _solved(rows: dict[int, dict[int, complex]], right: dict[int, complex]) -> dict[int, complex]:

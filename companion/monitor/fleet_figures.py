@@ -8,14 +8,8 @@ from functools import lru_cache
 from itertools import combinations
 from math import dist, inf
 
-from companion.analysis.interaction import (
-    couple,
-    eigenvalues,
-    mode_eigenvalues,
-    mode_figures,
-    reached_from,
-    time_to_shrink_s,
-)
+from companion.analysis.interaction import couple, eigenvalues, mode_eigenvalues, mode_figures, time_to_shrink_s
+from companion.analysis.response import reached_from
 from companion.assembly import law_of
 from companion.config.fleet import FleetConfig, Law, RangeNeighbours
 from companion.geometry.formations import separation_distance_m

@@ -17,26 +17,18 @@ from numpy.typing import NDArray
 
 from companion.analysis.interaction import (
     Coupling,
-    Graph,
     couple,
     eigenvalues,
     interaction_matrix,
     mode_eigenvalues,
     mode_figures,
-    reached_from,
-    settled_prcs,
     share_left,
     shift_m,
     time_to_shrink_s,
 )
 from companion.analysis.margins import delay_margin_with_lag_s, string_gains, worst_transient_peak
-from companion.analysis.prediction import (
-    SETTLED_WITHIN_M,
-    LinearModel,
-    errors_over_time,
-    settled_after_s,
-    transient_peak,
-)
+from companion.analysis.prediction import SETTLED_WITHIN_M, errors_over_time, settled_after_s, transient_peak
+from companion.analysis.response import Graph, LinearModel, reached_from, settled_prcs
 from companion.assembly import flyable_problems, law_of
 from companion.config.file import SET, convert, kind_of_file, overridden, read_as
 from companion.config.fleet import EdgeNeighbours, FleetConfig, LawName

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from companion.analysis.interaction import Graph, couple, mode_eigenvalues, mode_figures, reached_from
+from companion.analysis.interaction import couple, mode_eigenvalues, mode_figures
 from companion.analysis.margins import delay_margin_with_lag_s, string_gains
-from companion.analysis.prediction import LinearModel
+from companion.analysis.response import Graph, LinearModel, reached_from
 from companion.assembly import law_of
 from companion.config.file import ConfigError
 from companion.config.fleet import LawName

@@ -7,7 +7,8 @@ from math import cos, degrees, dist, hypot, pi, radians, sin, tan
 
 import numpy as np
 
-from companion.analysis.interaction import interaction_matrix, settled_prcs
+from companion.analysis.interaction import interaction_matrix
+from companion.analysis.response import settled_prcs
 from companion.core.consensus.law import average_22, average_26, neighbour_weights, weighted
 from companion.core.control.setpoint import attitude_target
 from companion.types.values import GRAVITY_M_S2

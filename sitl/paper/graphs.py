@@ -11,7 +11,8 @@ from math import dist
 
 import numpy as np
 
-from companion.analysis.interaction import FloatArray, Graph, interaction_matrix, settled_prcs
+from companion.analysis.interaction import FloatArray, interaction_matrix
+from companion.analysis.response import Graph, settled_prcs
 from companion.core.consensus.law import FormationLaw, average_22, average_26, neighbour_weights, weighted
 from companion.types.values import Vector3
 from sitl.report.claim import Claim, ClaimVerdict

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.analysis.interaction import FloatArray, interaction_matrix, settled_prcs
+from companion.analysis.interaction import FloatArray, interaction_matrix
+from companion.analysis.response import settled_prcs
 from companion.core.consensus.law import average_22, average_26, weighted
 from sitl.paper.graphs import Led, connected_graphs, described, every_small_pair, random_pairs, random_parts, united
 from sitl.report.claim import Claim, ClaimVerdict, Progress, no_progress

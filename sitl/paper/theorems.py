@@ -7,7 +7,8 @@ from functools import cache
 
 import numpy as np
 
-from companion.analysis.interaction import FloatArray, Graph, mode_figures
+from companion.analysis.interaction import FloatArray, mode_figures
+from companion.analysis.response import Graph
 from companion.core.consensus.law import PAPER_GAINS, Gains, next_prc
 from sitl.paper.graphs import (
     Led,

@@ -13,7 +13,7 @@ from math import cos, dist, floor, pi, sin, sqrt
 
 import numpy as np
 
-from companion.analysis.interaction import reached_from
+from companion.analysis.response import reached_from
 from companion.types.values import Vector3
 
 LEADER = 1

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import LinearOperator, eigs, eigsh, splu
 
-from companion.analysis.interaction import Graph, couple, eigenvalues, mode_eigenvalues, reached_from, settled_prcs
+from companion.analysis.interaction import couple, eigenvalues, mode_eigenvalues
+from companion.analysis.response import Graph, reached_from, settled_prcs
 from companion.core.consensus.law import FormationLaw, neighbour_weights
 
 DENSE_UP_TO = 20  # vehicles; the Lanczos method needs more dimensions than that

@@ -6,7 +6,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from companion.analysis.interaction import eigenvalues, interaction_matrix, reached_from
+from companion.analysis.interaction import eigenvalues, interaction_matrix
+from companion.analysis.response import reached_from
 from companion.core.consensus.law import FormationLaw
 from sitl.study.shapes import LEADER
 

@@ -17,7 +17,7 @@ import msgspec
 import yaml
 import zenoh
 
-from companion.analysis.interaction import settled_prcs
+from companion.analysis.response import settled_prcs
 from companion.assembly import law_of
 from companion.config.fleet import FleetConfig
 from companion.config.new_formation import NewFormation, planned_formation

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from common import ROOT
-from companion.analysis.interaction import interaction_matrix, settled_prcs
+from companion.analysis.interaction import interaction_matrix
+from companion.analysis.response import settled_prcs
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.consensus.law import weighted

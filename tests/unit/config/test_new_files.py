@@ -7,7 +7,7 @@ from typing import get_args
 
 import pytest
 
-from companion.analysis.interaction import reached_from
+from companion.analysis.response import reached_from
 from companion.cli.main import main
 from companion.config.file import ConfigError
 from companion.config.new_formation import NewFormation, ReferenceKind, flight_time_s

@@ -8,7 +8,7 @@ from typing import Any, get_args
 import pytest
 import yaml
 
-from companion.analysis.interaction import reached_from
+from companion.analysis.response import reached_from
 from companion.config.file import ConfigError
 from companion.config.fleet import RangeNeighbours
 from companion.config.planned_flight import DEFAULT_ORIGIN, ShapeName, default_neighbours, neighbour_graph

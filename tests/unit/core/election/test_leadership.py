@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common import outcome, with_fields
-from companion.analysis.interaction import interaction_matrix, settled_prcs
+from companion.analysis.interaction import interaction_matrix
+from companion.analysis.response import settled_prcs
 from companion.core.consensus.law import weighted
 from companion.core.election.beacon import WAITED_S, MissionClock
 from companion.core.election.leadership import Leadership

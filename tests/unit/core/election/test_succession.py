@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common import outcome
-from companion.analysis.interaction import settled_prcs
+from companion.analysis.response import settled_prcs
 from companion.core.consensus.stage import Consensus
 from companion.core.election.beacon import BeaconMonitor
 from companion.core.election.leadership import TURN_S, UNCONFIRMED_S, Leadership, Succession

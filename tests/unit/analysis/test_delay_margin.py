@@ -7,7 +7,7 @@ import pytest
 
 from companion.analysis.interaction import Coupling, couple
 from companion.analysis.margins import delay_margin_with_lag_s
-from companion.analysis.prediction import LinearModel
+from companion.analysis.response import LinearModel
 from companion.core.consensus.law import FormationLaw, Gains, Weighting, average_26
 
 ORDER = 6

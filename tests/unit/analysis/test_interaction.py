@@ -18,18 +18,10 @@ from companion.analysis.interaction import (
     lag_margin_s,
     mode_eigenvalues,
     mode_figures,
-    reached_from,
-    settled_prcs,
     time_to_shrink_s,
 )
-from companion.analysis.prediction import (
-    DIVERGED_M,
-    TICK_S,
-    LinearModel,
-    errors_over_time,
-    settled_after_s,
-    transient_peak,
-)
+from companion.analysis.prediction import DIVERGED_M, errors_over_time, settled_after_s, transient_peak
+from companion.analysis.response import TICK_S, LinearModel, reached_from, settled_prcs
 from companion.cli.main import main
 from companion.core.consensus.law import FormationLaw, Gains, Weighting, average_22, average_26, next_prc, weighted
 from companion.tools.analysis import analyse, load_subject

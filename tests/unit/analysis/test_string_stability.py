@@ -17,7 +17,8 @@ from companion.analysis.margins import (
     string_gains,
     worst_transient_peak,
 )
-from companion.analysis.prediction import LinearModel, errors_over_time
+from companion.analysis.prediction import errors_over_time
+from companion.analysis.response import LinearModel
 from companion.cli.main import main
 from companion.core.consensus.law import (
     PAPER_GAINS,
