@@ -5,14 +5,16 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 from companion.cli.options import add_overrides
 from companion.cli.program import CliCommand
 from companion.config.file import ConfigError
 from companion.config.fleet import LawName
 from sitl.cli.options import add_autopilot, add_out, add_out_and_quiet, add_port_offset, add_scenario, overrides_of
-from sitl.flight.options import FleetOptions, FlyOptions, RunOptions
+
+if TYPE_CHECKING:
+    from sitl.flight.flights import FlightOptions
 
 LAWS: tuple[LawName, ...] = get_args(LawName)
 
@@ -63,41 +65,47 @@ def _add_fleet(parser: argparse.ArgumentParser) -> None:
     add_port_offset(parser)
 
 
-def _run_run(options: argparse.Namespace) -> int:
+def _run_run(parsed: argparse.Namespace) -> int:
     from sitl.flight.flights import run_virtual
 
-    return run_virtual(run_options(options))
+    return run_virtual(flight_options(parsed))
 
 
-def _run_fly(options: argparse.Namespace) -> int:
+def _run_fly(parsed: argparse.Namespace) -> int:
     from sitl.flight.fly import run_fly
 
-    return run_fly(fly_options(options))
+    return run_fly(flight_options(parsed))
 
 
-def _run_fleet(options: argparse.Namespace) -> int:
+def _run_fleet(parsed: argparse.Namespace) -> int:
     from sitl.flight.fly import run_fleet
 
-    return run_fleet(
-        FleetOptions(options.scenario, overrides_of(options), options.out, options.quiet, options.port_offset)
-    )
+    return run_fleet(flight_options(parsed))
 
 
-def run_options(parsed: argparse.Namespace) -> RunOptions:
-    others: Sequence[LawName] | None = parsed.compare
-    if others is not None and not others:
-        others = LAWS
-    record = getattr(parsed, "record", True)  # real agents always record
-    return RunOptions(parsed.scenario, overrides_of(parsed), others, parsed.out, parsed.quiet, parsed.anyway, record)
+def flight_options(parsed: argparse.Namespace) -> FlightOptions:
+    """The options of any of the three commands. Raises ConfigError."""
+    from sitl.flight.flights import FlightOptions
 
-
-def fly_options(parsed: argparse.Namespace) -> FlyOptions:
-    """Raises ConfigError."""
-    if parsed.external and parsed.autopilot:
+    given = vars(parsed)
+    if given.get("external") and parsed.autopilot:
         raise ConfigError(
             "--autopilot", "", "chooses the stand-ins, and --external starts none; give one of the two options"
         )
-    return FlyOptions(run_options(parsed), parsed.port_offset, parsed.external)
+    others: Sequence[LawName] | None = given.get("compare")
+    if others is not None and not others:
+        others = LAWS
+    return FlightOptions(
+        scenario=parsed.scenario,
+        overrides=overrides_of(parsed),
+        others=others,
+        out=parsed.out,
+        quiet=parsed.quiet,
+        anyway=given.get("anyway", False),
+        record=given.get("record", True),  # real agents always record
+        port_offset=given.get("port_offset"),
+        external=given.get("external"),
+    )
 
 
 RUN = CliCommand(

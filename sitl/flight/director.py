@@ -14,16 +14,22 @@ from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName
 from companion.types.flight import ON_GROUND, RULES, FlightPhase, Role
 from companion.types.status import Status
+from companion.types.values import Vector3
 from companion.wire.messages import StatusReport
 from sitl.flight.external import READY_WITHIN_S, Readiness, armed_already
 from sitl.flight.orders import REPEAT_S, REPLY_WITHIN_S, FlightFailure, Order, Refusal, newest_report
-from sitl.flight.scenario import TO_ALL, TimelineStep
+from sitl.flight.scenario import TO_ALL, MovingTarget, TimelineStep
 from sitl.flight.watch import SILENT_S, FlightWatch, vehicles_in_words
 from sitl.report.progress import FlightProgress
 
+TARGET_PERIOD_S = 0.1
 POLL_S = 0.02  # the period of an agent's ticks: the resolution of the entry into formation
 LANDED_WITHIN_S = 60.0
 LISTEN_S = 0.3  # three reports of every vehicle
+
+Publish = Callable[[str, Vector3, Vector3], None]
+"""Takes a target's name, its velocity [m/s] and its position [m], ENU."""
+
 GROUND_PHASES = frozenset({FlightPhase.OBSERVE, FlightPhase.PREPARE, FlightPhase.READY})
 
 
@@ -32,6 +38,27 @@ class DirectedSession(CommandSession, Protocol):
 
     def drain(self) -> list[StatusReport]:
         """All reports since the last call, oldest first."""
+
+
+class MovingTargets:
+    """Publishes the state of each target when it is due."""
+
+    def __init__(self, targets: Sequence[MovingTarget], publish: Publish, began_s: float) -> None:
+        self._targets = [(target, target.path.curve()) for target in targets]
+        self._publish = publish
+        self._began_s = began_s
+        self._next_s = began_s
+
+    def update(self, now_s: float) -> None:
+        """Publish what is due. To be called more often than every TARGET_PERIOD_S."""
+        if now_s < self._next_s:
+            return
+        self._next_s = now_s + TARGET_PERIOD_S
+        flight_s = now_s - self._began_s
+        for target, curve in self._targets:
+            if target.begins_s <= flight_s <= target.ends_s:
+                position, velocity, _ = curve(flight_s - target.begins_s)
+                self._publish(target.name, velocity, position)
 
 
 class Director:

@@ -5,7 +5,7 @@ How a flight is flown is an argument (`run_flights`); `run_virtual` is `sitl run
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import partial
@@ -27,7 +27,6 @@ from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from companion.types.flight import Role
 from companion.types.notices import Code, Notice
 from sitl.flight.files import truth_path, write_scenario
-from sitl.flight.options import RunOptions
 from sitl.flight.scenario import Scenario, load_scenario, reference_of, with_law
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.flight.watch import FlightWatch
@@ -50,6 +49,26 @@ from sitl.report.summary import RunSummary, TickFigures, VehicleSummary, in_word
 from sitl.stopping import StopRequest
 
 MODEL = LinearModel()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightOptions:
+    """Options of `sitl run`, `sitl fly` and `sitl fleet`.
+
+    `others` are the laws to compare with, None without --compare. `anyway` flies an unstable formation, too. `record`: agents
+    in virtual time leave recordings; those of real processes always do. Real processes choose `port_offset` themselves where it
+    is None; `external` is the file of their external autopilots.
+    """
+
+    scenario: Path
+    overrides: Sequence[str] = ()
+    others: Sequence[LawName] | None = None
+    out: Path | None = None
+    quiet: bool = False
+    anyway: bool = False
+    record: bool = False
+    port_offset: int | None = None
+    external: Path | None = None
 
 
 class DivergesError(UnusableError):
@@ -246,7 +265,7 @@ FlyOnce = Callable[[Scenario, str, Path, StopRequest], FlightResult]  # scenario
 Prepare = Callable[[Scenario], AbstractContextManager[FlyOnce]]
 
 
-def run_flights(options: RunOptions, prepare: Prepare) -> int:
+def run_flights(options: FlightOptions, prepare: Prepare) -> int:
     """Fly as the options require; returns the exit code. Raises what sitl/cli/main.py reports.
 
     `prepare` reserves what the flights need, before anything is written or flown; it may raise ConfigError or
@@ -266,7 +285,7 @@ def run_flights(options: RunOptions, prepare: Prepare) -> int:
             return _fly_laws(scenarios, name, folder, fly_once, stop)
 
 
-def _laws(scenario: Scenario, options: RunOptions) -> list[LawName]:
+def _laws(scenario: Scenario, options: FlightOptions) -> list[LawName]:
     """The scenario's own law, then the others. Raises ConfigError."""
     own = scenario.fleet.law.name
     if options.others is not None and all(step.command is not CommandName.FORM for step in scenario.timeline):
@@ -319,12 +338,12 @@ def _exit_code(summary: RunSummary) -> int:
     return EXIT_FAILED if summary.failure else EXIT_DONE
 
 
-def run_virtual(options: RunOptions) -> int:
+def run_virtual(options: FlightOptions) -> int:
     """Fly as the options require; returns the exit code."""
     return run_flights(options, lambda _scenario: nullcontext(partial(_run_once, options)))
 
 
-def _run_once(options: RunOptions, scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> FlightResult:
+def _run_once(options: FlightOptions, scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> FlightResult:
     folder.mkdir(parents=True, exist_ok=True)
     write_scenario(scenario, folder)
     progress = FlightProgress(f"{name}, {scenario.fleet.law.name}", options.quiet, began_s=0.0)

@@ -17,8 +17,7 @@ from companion.types.errors import EXIT_DONE, EXIT_FAILED
 from sitl.flight.director import Director
 from sitl.flight.external import ReachedVehicle, Readiness, load_external, vehicles_of
 from sitl.flight.files import estimated_path, ids_of, truth_path
-from sitl.flight.flights import FlightResult, FlyOnce, run_flights, write_results
-from sitl.flight.options import FleetOptions, FlyOptions
+from sitl.flight.flights import FlightOptions, FlightResult, FlyOnce, run_flights, write_results
 from sitl.flight.orders import REPLY_WITHIN_S, FlightFailure
 from sitl.flight.processes import FleetProcesses, publish_targets
 from sitl.flight.scenario import Scenario, load_scenario
@@ -45,29 +44,29 @@ MAVLink for a ground station: {ground_links}
 Ctrl-C here lands all vehicles and ends."""
 
 
-def run_fly(options: FlyOptions) -> int:
+def run_fly(options: FlightOptions) -> int:
     """Fly as the options require; returns the exit code. Raises ConfigError."""
 
     @contextmanager
     def prepare(scenario: Scenario) -> Iterator[FlyOnce]:
         if scenario.agent_ends:
-            raise ConfigError(options.run.scenario, "agent_ends", "ends agents in virtual time only; use sitl run")
+            raise ConfigError(options.scenario, "agent_ends", "ends agents in virtual time only; use sitl run")
         external = _external(options, scenario)
         kind = scenario.stand_in.autopilot if external is None else None
         with reserved_ports(ids_of(scenario), kind, options.port_offset) as offset:
-            if offset and not options.run.quiet:
+            if offset and not options.quiet:
                 endpoints = " ".join(zenoh_endpoint(i, offset) for i in ids_of(scenario))
                 print(f"all ports are offset by {offset}: companion monitor --connect {endpoints}", flush=True)
 
             def fly_once(scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> FlightResult:
-                return _Flight(scenario, name, folder, options.run.quiet, offset, external, stop).result()
+                return _Flight(scenario, name, folder, options.quiet, offset, external, stop).result()
 
             yield fly_once
 
-    return run_flights(options.run, prepare)
+    return run_flights(options, prepare)
 
 
-def _external(options: FlyOptions, scenario: Scenario) -> External | None:
+def _external(options: FlightOptions, scenario: Scenario) -> External | None:
     """The external autopilots of the scenario's vehicles, None with stand-ins. Raises ConfigError."""
     file = options.external
     return None if file is None else vehicles_of(file, load_external(file), scenario.fleet)
@@ -164,7 +163,7 @@ def _left_in_the_air(watch: FlightWatch, lost: set[int]) -> list[str]:
     return lines
 
 
-def run_fleet(options: FleetOptions) -> int:
+def run_fleet(options: FlightOptions) -> int:
     """The exit code. Raises what sitl/cli/main.py reports."""
     scenario = load_scenario(options.scenario, options.overrides)
     stem = f"fleet-{options.scenario.stem}"

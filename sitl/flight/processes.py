@@ -16,9 +16,9 @@ from typing import Self
 
 from companion.ground.publishers import TargetPublisher
 from companion.types.values import Vector3
+from sitl.flight.director import MovingTargets
 from sitl.flight.external import ReachedVehicle
 from sitl.flight.files import autopilot_path, ids_of, network_path, truth_path, write_files
-from sitl.flight.moving_targets import MovingTargets
 from sitl.flight.scenario import Scenario
 
 AGENT_ENDS_WITHIN_S = 5.0  # it first hands over to the autopilot

@@ -24,13 +24,12 @@ from companion.config.planned_flight import (
     planned_problems,
     starts_of,
 )
-from companion.config.reference import Reference
+from companion.config.reference import CircleReference, Figure8Reference, PointReference, Reference, WaypointsReference
 from companion.config.validation import Problem, each, unless_invalid
-from companion.config.values import Drag, HoverThrust, PositionM, Section, VehicleId
+from companion.config.values import Drag, HoverThrust, Name, PositionM, Section, VehicleId
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.commands import CommandName
 from sitl.autopilots.types import parameter_problems
-from sitl.flight.moving_targets import MovingTarget
 from sitl.vehicle.config import Links, StandIn
 
 OPERATORS_ONLY = (CommandName.TAKE, CommandName.ABORT)  # they lead to no phase that could be waited for
@@ -188,6 +187,21 @@ class Assumed(Section, frozen=True, kw_only=True):
 
     hover_thrust_norm: HoverThrust | None = None
     drag_1_s: Drag | None = None
+
+
+class MovingTarget(Section, frozen=True, kw_only=True):
+    """A target that moves along a curve and publishes its position and velocity, for a reference that follows it."""
+
+    name: Annotated[Name, Meta(description="name of the target, as a reference names it")] = "main"
+    path: Annotated[
+        PointReference | Figure8Reference | CircleReference | WaypointsReference, Meta(description="the curve")
+    ]
+    begins_s: Annotated[
+        float, Meta(ge=0, le=3600, description="time of the flight at which it begins to move and publish")
+    ] = 0.0
+    ends_s: Annotated[
+        float, Meta(gt=0, le=3600, description="time of the flight after which it no longer publishes")
+    ] = 3600.0
 
 
 class AgentEnd(Section, frozen=True, kw_only=True):

@@ -9,9 +9,8 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from sitl.flight.director import Director
+from sitl.flight.director import Director, MovingTargets
 from sitl.flight.lockstep import Lockstep, VirtualStandIn
-from sitl.flight.moving_targets import MovingTargets
 from sitl.flight.orders import FlightFailure, Refusal
 from sitl.flight.scenario import Scenario, TimelineStep
 from sitl.flight.watch import FlightWatch, watch_of

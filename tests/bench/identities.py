@@ -13,9 +13,9 @@ from tempfile import TemporaryDirectory
 from companion.link.fleet.identity import load
 from companion.security.identity import Identity
 from sitl.flight.files import ids_of, write_files
-from sitl.flight.identities import identity_folder, provision, use_identities
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.links.free_ports import reserved_ports
+from tests.bench.provisioned import identity_folder, provision, use_identities
 from tests.bench.real_flight import RealFlight
 from tests.bench.scenarios import SCENARIOS
 

@@ -37,10 +37,10 @@ from fault_table import FaultRow
 from process_fleet import Ground
 from processes import free_fleet_offset
 from sitl.flight.files import truth_path, write_files
-from sitl.flight.identities import identity_folder, provision, use_identities
 from sitl.flight.processes import FleetProcesses, stand_ins_together
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.links.ports import ports_of
+from tests.bench.provisioned import identity_folder, provision, use_identities
 
 NOW = datetime(2026, 11, 22, 12, 0, 0, tzinfo=UTC)
 GROUND_ANNA = participant_name(ParticipantRole.GROUND, "anna")

@@ -20,7 +20,7 @@ from companion.types.autopilot import AutopilotKind, LandedState
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.status import Status
 from ground_fleet import WHOLE, DirectedFlight, directed_status
-from sitl.cli.flights import FLY, fly_options
+from sitl.cli.flights import FLY, flight_options
 from sitl.flight.external import READY_FOR_S, ReachedVehicle, Readiness, load_external, vehicles_of
 from sitl.flight.files import estimated_path, write_files
 from sitl.flight.flights import write_results
@@ -116,7 +116,7 @@ def test_stand_ins_and_external_vehicles_exclude_each_other() -> None:
     parser = argparse.ArgumentParser()
     FLY.add_arguments(parser)
     with pytest.raises(ConfigError, match=r"^--autopilot: .*--external starts none; give one of the two"):
-        fly_options(parser.parse_args(["s.yaml", "--external", "e.yaml", "--autopilot", "px4"]))
+        flight_options(parser.parse_args(["s.yaml", "--external", "e.yaml", "--autopilot", "px4"]))
 
 
 def test_only_the_agents_ports_must_be_free() -> None:

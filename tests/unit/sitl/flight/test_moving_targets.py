@@ -12,7 +12,8 @@ from companion.types.formation import FlownSlot, LeaderBeacon
 from companion.types.status import Status
 from companion.types.values import Vector3
 from companion.wire.messages import Percentiles, StatusReport, Timing
-from sitl.flight.moving_targets import MovingTarget, MovingTargets
+from sitl.flight.director import MovingTargets
+from sitl.flight.scenario import MovingTarget
 from sitl.flight.watch import FlightWatch
 
 NOTHING = Percentiles(0.0, 0.0, 0.0)

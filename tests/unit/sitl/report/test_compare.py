@@ -10,9 +10,8 @@ from common import ROOT
 from companion.assembly import law_of
 from companion.core.consensus.law import cooperative
 from companion.wire.messages import Percentiles, Timing
-from sitl.cli.flights import FLY, fly_options
-from sitl.flight.flights import summarize
-from sitl.flight.options import FlyOptions, RunOptions
+from sitl.cli.flights import FLY, flight_options
+from sitl.flight.flights import FlightOptions, summarize
 from sitl.flight.scenario import load_scenario, with_law
 from sitl.flight.watch import FlightWatch
 from sitl.report.compare import Comparison, compare, in_a_table
@@ -156,14 +155,10 @@ def test_the_papers_laws_are_compared_with_the_same_gains_and_cooperative_has_it
 # ---------------------------------------------------------------- the command line
 
 
-def fly(*arguments: str) -> FlyOptions:
+def options(*arguments: str) -> FlightOptions:
     parser = argparse.ArgumentParser()
     FLY.add_arguments(parser)
-    return fly_options(parser.parse_args(["s.yaml", *arguments]))
-
-
-def options(*arguments: str) -> RunOptions:
-    return fly(*arguments).run
+    return flight_options(parser.parse_args(["s.yaml", *arguments]))
 
 
 def test_the_command_line() -> None:
