@@ -12,7 +12,7 @@ from companion.config.planned_flight import neighbour_graph
 from companion.config.reference import Reference
 from companion.config.validation import Problem, needs
 from companion.core.consensus.law import FormationLaw
-from companion.geometry.formations import counted
+from companion.geometry.formations import to_separation_metric
 from companion.types.flight import Role
 from companion.types.steps import Steps, whole
 from companion.types.values import GRAVITY_M_S2, Vector3
@@ -46,7 +46,7 @@ def following_steps(
     motions = reference.motions(fleet.slots_turn)
     if not motions or len(slots_enu_m) < 2:
         return None
-    slots_m = {i: counted(slot, fleet.law.altitude == "formation") for i, slot in slots_enu_m.items()}
+    slots_m = {i: to_separation_metric(slot, fleet.law.altitude == "formation") for i, slot in slots_enu_m.items()}
     if min(dist(a, b) for a, b in combinations(slots_m.values(), 2)) < fleet.separation_m * (1.0 - ROUNDING):
         return None  # refused by themselves
     chains = chains_of(fleet, law, slots_enu_m, drag_1_s)

@@ -17,7 +17,7 @@ from companion.config.fleet import EdgeNeighbours, FleetConfig, law_problems
 from companion.config.validation import INVALID, Problem, each, unless_invalid
 from companion.config.values import BoxObstacle, CylinderObstacle, PositionM, Section, VehicleId, about
 from companion.geometry.airspace import area_m2, crossing_sides
-from companion.geometry.formations import ROUNDING_M, counted
+from companion.geometry.formations import ROUNDING_M, to_separation_metric
 from companion.types.flight import Role
 from companion.types.values import Vector3
 
@@ -149,7 +149,7 @@ def _slots(fleet: FleetConfig, where: str) -> Iterator[Problem]:
     separation_m, has_height = fleet.separation_m, fleet.law.altitude == "formation"
     before: list[tuple[int, Vector3]] = []
     for index, member in enumerate(fleet.vehicles):
-        slot = counted(member.slot_enu_m, has_height)
+        slot = to_separation_metric(member.slot_enu_m, has_height)
         apart_m, other_id = min(((dist(slot, other), i) for i, other in before), default=(inf, 0))
         if apart_m < separation_m - ROUNDING_M:
             yield Problem(

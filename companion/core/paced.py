@@ -1,4 +1,4 @@
-"""Dear checks of content from outside, in steps over several ticks: no command and no packet delays a setpoint.
+"""Expensive checks of content from outside, in steps over several ticks: no command and no packet delays a setpoint.
 
 Each step of a check is a small amount of work, about half a millisecond for twelve vehicles. A caller asks for the result in
 every tick until it is there.

@@ -28,7 +28,7 @@ def separation_distance_m(a_enu_m: Vector3, b_enu_m: Vector3) -> float:
     return hypot(a_enu_m[0] - b_enu_m[0], a_enu_m[1] - b_enu_m[1], HEIGHT_WEIGHT * (a_enu_m[2] - b_enu_m[2]))
 
 
-def counted(position_enu_m: Vector3, has_height: bool) -> Vector3:
+def to_separation_metric(position_enu_m: Vector3, has_height: bool) -> Vector3:
     """The position in coordinates whose Euclidean distance is `separation_distance_m`.
 
     Without `has_height` each vehicle keeps its own altitude, and only the horizontal distance counts.
@@ -138,7 +138,7 @@ def rotated(slot: Vector3, heading_rad: float, scale: float) -> Vector3:
 
 def smallest_distance(slots: list[Vector3]) -> float:
     """Smallest distance between any two of at least two slots, as `separation_m` counts it, m."""
-    counts = [counted(slot, has_height=True) for slot in slots]
+    counts = [to_separation_metric(slot, has_height=True) for slot in slots]
     return min(dist(a, b) for i, a in enumerate(counts) for b in counts[:i])
 
 

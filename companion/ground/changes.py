@@ -20,10 +20,10 @@ from companion.geometry.formations import (
     SHAPES,
     SLOT_ACCELERATION_M_S2,
     closest_approach,
-    counted,
     longest_path_m,
     rotated,
     slots_of,
+    to_separation_metric,
 )
 from companion.types.commands import Described, ReferenceChange, next_for_all
 from companion.types.flight import FlightPhase
@@ -189,7 +189,7 @@ def refusal_of(slots_enu_m: Mapping[int, Vector3], separation_m: float, has_heig
 
     Without `has_height` each vehicle keeps its own altitude. Paths may cross: the vehicles warn of it in their answers.
     """
-    slots = {i: counted(slot, has_height) for i, slot in slots_enu_m.items()}
+    slots = {i: to_separation_metric(slot, has_height) for i, slot in slots_enu_m.items()}
     distance_m, i, j = closest_approach(slots, slots)
     if distance_m >= separation_m - ROUNDING_M:
         return None

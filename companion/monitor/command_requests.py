@@ -17,7 +17,7 @@ from companion.config.planned_flight import ShapeName
 from companion.config.reference import ASKED, KINDS, Asked, Reference, ReferenceSection
 from companion.config.reference_check import reference_problems
 from companion.config.values import PositionM
-from companion.geometry.formations import closest_approach, counted, turned_slot
+from companion.geometry.formations import closest_approach, to_separation_metric, turned_slot
 from companion.ground.changes import (
     FleetAction,
     FormationRequest,
@@ -191,8 +191,8 @@ def _formation(request: FormationRequest, fleet: FleetConfig, statuses: Sequence
     slots_enu_m = requested_slots(request, statuses, fleet)
     flown_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
     closest_m, _, _ = closest_approach(
-        {i: counted(slot, has_height) for i, slot in flown_enu_m.items()},
-        {i: counted(slot, has_height) for i, slot in slots_enu_m.items()},
+        {i: to_separation_metric(slot, has_height) for i, slot in flown_enu_m.items()},
+        {i: to_separation_metric(slot, has_height) for i, slot in slots_enu_m.items()},
     )
     change = change_to(slots_enu_m, statuses, fleet.slot_speed_m_s)
     reference_enu_m = _reference_enu_m(statuses)

@@ -1,4 +1,4 @@
-"""Dear work in steps: a generator that pauses after each small part of it and returns the result."""
+"""Expensive work in steps: a generator that pauses after each small part of it and returns the result."""
 
 from __future__ import annotations
 

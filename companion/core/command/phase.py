@@ -1,7 +1,27 @@
 """The state machine of the flight phases, by the table RULES of `types/flight.py`.
 
-The pilot has precedence: in a mode that the present phase did not command, the agent returns to OBSERVE and sends nothing
-until the next command.
+Theory of operation. Two machines fly one vehicle: the autopilot in its modes and this agent in its phases. The agent cannot set
+a mode. It can only ask, and the mode, arming and landed state that telemetry reports are the truth. An acknowledgement proves
+nothing: PX4 may accept a change of mode and then refuse it. So a phase is a claim about the vehicle, compared with telemetry in
+every tick (`observe`), and a command is a request that is repeated until telemetry shows its effect (`core/autopilot.py`).
+
+    OBSERVE -- prepare, arm --> READY, ARMED -- takeoff --> HOLD -- form --> ENGAGE --> FORMATION
+       ^                                                    ^  |               |            |
+       |                                                    |  +-- land, return --> LAND, RETURN
+       |                                                    +------ RELEASE <--+------------+
+       +--- from every phase: a mode, arming or flight that the phase did not command; after a landing; on failure
+
+  - The pilot has precedence. In a mode that the present phase did not command, the agent returns to OBSERVE and sends nothing
+    until the next command. While a procedure runs, the mode in which it began is tolerated as well, as the request may not
+    have arrived yet. A landing or return that has begun tolerates no other mode any more.
+  - A command leads from one of its `allowed` phases through `via` to `to`, or to `on_failure`. One that is under way or done
+    is accepted again, because commands are repeated until all vehicles answer. ABORT becomes one of the others.
+  - Nothing else changes the phase. Other stages return PhaseRequests, and a tick has one order: requests of guidance, commands,
+    requests of safety. So a failsafe wins over a command of the same tick; only a landing or return out of hold gives way, as
+    a command shows that somebody has taken over.
+  - The stream of setpoints has no gap. It begins before the autopilot is asked to follow it (ENGAGE), since PX4 takes OFFBOARD
+    only from a running stream; and it goes on, level, after the autopilot was asked to hold (RELEASE), until telemetry reports
+    the hold. An autopilot that missed its setpoints would start its own failsafe in between.
 """
 
 from __future__ import annotations

@@ -22,7 +22,9 @@ from companion.types.formation import FlownSlot
 from companion.types.peers import ReceivedTraffic
 from companion.types.values import ZERO3, Vector3
 
-LAG_S = 0.2  # from a commanded to the flown acceleration: the mean delay of the attitude step response
+# From a commanded to the flown acceleration: the mean delay of the attitude step response, measured with PX4 (docs/law.md).
+# The linear model of companion/analysis takes it from here.
+LAG_S = 0.2
 
 
 class Ahead(Struct, frozen=True, gc=False):
@@ -33,10 +35,12 @@ class Ahead(Struct, frozen=True, gc=False):
 
 
 KEPT_S = 1.0  # an autopilot without setpoints keeps its attitude for so long
-COAST_1_S = 0.25  # decay of the speed of a level multirotor: less than that of most airframes
+COAST_1_S = (
+    0.25  # decay of the speed of a level multirotor: drag of a small open quadrotor, less than most (analysis/pace.py)
+)
 GROWS_S = 0.4  # from the expected position to the whole way
-DESCENT_M_S = 1.5  # of an autopilot that lands
-LANDS_S = 0.6  # PX4's smallest COM_OF_LOSS_T
+DESCENT_M_S = 1.5  # of an autopilot that lands: PX4 MPC_Z_V_AUTO_DN, and more than its MPC_LAND_SPEED of 0.7
+LANDS_S = 0.6  # PX4's smallest COM_OF_LOSS_T that the audit accepts (SHORTEST_TIMEOUT_S)
 SPEED_MARGIN_RATIO = 1.25  # of the speed limit: faster no vehicle is taken to fly in silence
 COLUMN_M_S = 1.0  # growth of the distance that a vehicle below keeps
 

@@ -1,11 +1,29 @@
 """Constraints of the own acceleration that keep a distance from every other vehicle: safety barrier certificates.
 
-After Wang, Ames and Egerstedt, "Safety Barrier Certificates for Collisions-Free Multirobot Systems", IEEE T-RO 2017. For a pair
-with distance d and radial speed d', h = d' + V(d - D) >= 0 means that both can still brake before the required distance D;
-V is the approach speed of `geometry/curves.py`. h' >= -k h is linear in both accelerations. Each of two cooperating vehicles
-takes half of it, and what the other's last command leaves open; for any other vehicle the own one takes all of it.
+Theory of operation, after Wang, Ames and Egerstedt, "Safety Barrier Certificates for Collisions-Free Multirobot Systems", IEEE
+T-RO 33(3), 2017. For a pair with distance d and radial speed d' let
 
-Both vehicles are taken ahead by their attitude lag (`motion.py`), where they are exact double integrators.
+    h = d' + V(d - D),    V: the approach speed of `geometry/curves.py`,    D: the required distance.
+
+h >= 0 means that both can still brake before D. A vehicle that keeps h' >= -k h from a start with h >= 0 keeps h >= 0 for ever,
+and h' is linear in the accelerations of both: n . (u - u_other) >= least. That is one half-space of u for each other vehicle.
+The filter takes the acceleration nearest to the wanted one in all of them (`solver.py`), so nothing is changed far from others.
+
+  - Who makes way. Each of two vehicles in formation takes half of `least`, and what the last command of the other, which its
+    packet brings, leaves open. Any other vehicle (traffic, a vehicle in hold or under a pilot) makes no way: the own one takes
+    all of it, and plans to brake with less, as others may stand behind it.
+  - Time. Vehicles follow their commands with the lag of their attitude, and packets are late. Both vehicles are taken ahead by
+    lag and age to coordinates in which they are exact double integrators (`motion.py`), where the argument above holds.
+  - D is `separation_m` and margins: position errors that both estimators report, growth while the other is silent, transport
+    delay that no receiver can see, and room to pass each other. Margins give way to obstacles and the fence, `separation_m`
+    does not: a barrier with margins has a second constraint without them, of a higher rank.
+  - Margins never push a formation apart: of two vehicles in slots D is at most halfway from `separation_m` to the distance of
+    their slots.
+  - Heights count half (`geometry/formations.py`): n is the gradient of the weighted distance, and `size` its length.
+  - Deadlock. Two vehicles that meet head-on brake for ever. Both add an acceleration to their right (`turn_right`).
+
+What it does not promise: with tilt limits and a speed limit not all constraints may be met at once. Then those of the lowest
+rank give way by the least amount, and `separation_m` may be violated; that is reported (SEPARATION_VIOLATED) and counted.
 """
 
 from __future__ import annotations
@@ -25,15 +43,17 @@ from companion.types.formation import FlownSlot
 from companion.types.status import NearestVehicle
 from companion.types.values import Vector3
 
-PLANNED_SHARE = 0.5  # of the acceleration at the tilt limit: what each vehicle plans to brake with
+PLANNED_SHARE = 0.5  # of the acceleration at the tilt limit, planned for braking; the rest is for wind (docs/safety.md)
 ALONE_SHARE = 0.6  # of that, where the own vehicle alone makes way: others may stand behind it
-UNSEEN_DELAY_S = 0.1  # transport delay that no receiver can measure without a common clock
+UNSEEN_DELAY_S = (
+    0.1  # transport delay that no receiver can measure without a common clock; docs/faults.md flies with as much
+)
 # The same and the delay of the own response, before a vehicle that flies towards this one. A pilot's vehicle reports no
 # acceleration: it may have reached 1.6 m/s in the 0.4 s before others make way.
 PURSUED_S = 0.4
 RIPPLE_M = 0.05  # of the distance of a vehicle that slides along one that makes no way
-RESPONSE_1_S = 5.0  # k: how fast h may approach 0
-SLOPE_1_S = 4.0  # of the approach speed near the required distance
+RESPONSE_1_S = 5.0  # k: how fast h may approach 0; 1/k is the attitude lag, faster no vehicle responds
+SLOPE_1_S = 4.0  # of the approach speed near the required distance; below k, so that h can follow
 FASTEST_LEAVING_M_S = 1.5  # demanded inside the required distance
 # Where slots move: the attitude follows late, and between others a vehicle cannot always brake as planned.
 TRACKING_M = 0.1

@@ -119,7 +119,7 @@ class Changes:
     ) -> Answer:
         def check(airspace: Steps[Notice | None]) -> Notice | Pending | None:
             key = (change, flight.on_ground, flown_slots, self._references and self._references.flown_count)
-            return self._checks.ask(key, lambda: self._dear_refusal(change, airspace, consensus))
+            return self._checks.ask(key, lambda: self._expensive_refusal(change, airspace, consensus))
 
         flown_slots = tuple(sorted(self._slots.slots_enu_m.items()))
         rft_enu_m = self._rft_enu_m(vehicle, flight, consensus, slot)
@@ -154,7 +154,7 @@ class Changes:
         limits = self._slots.limits
         return None if limits.slots_turn else refusal_of_tracks(tracks, consensus.peers.packets, limits.separation_m)
 
-    def _dear_refusal(
+    def _expensive_refusal(
         self, change: FormationChange, airspace: Steps[Notice | None], consensus: Consensus
     ) -> Steps[Notice | None]:
         """Airspace, and whether the law can fly the slots with the reference. What others fly already is adopted."""

@@ -11,7 +11,14 @@ from companion.core.reference.blend import reference_box
 from companion.core.reference.target import Box
 from companion.geometry.airspace import Airspace, leg_conflict_steps, nearest_kind
 from companion.geometry.curves import PEAK_SPEED
-from companion.geometry.formations import ROUNDING_M, closest_approach, counted, peak_speed_m_s, reach_m, swept
+from companion.geometry.formations import (
+    ROUNDING_M,
+    closest_approach,
+    peak_speed_m_s,
+    reach_m,
+    swept,
+    to_separation_metric,
+)
 from companion.geometry.vectors import minus, plus, scaled
 from companion.types.flight import HELD, ON_GROUND, STREAMING, FlightPhase
 from companion.types.notices import Code, Notice
@@ -144,11 +151,11 @@ class FormationLimits:
 
     def _nearest(self, before_enu_m: Slots, after_enu_m: Slots) -> tuple[float, int, int] | None:
         """(distance [m], both vehicles) of the nearest two on their paths, where that is less than `separation_m`."""
-        nearest = closest_approach(self._counted(before_enu_m), self._counted(after_enu_m))
+        nearest = closest_approach(self._in_separation_metric(before_enu_m), self._in_separation_metric(after_enu_m))
         return None if nearest[0] >= self.separation_m - ROUNDING_M else nearest
 
-    def _counted(self, slots_enu_m: Slots) -> Slots:
-        return {i: counted(slot_enu_m, self.slots_have_height) for i, slot_enu_m in slots_enu_m.items()}
+    def _in_separation_metric(self, slots_enu_m: Slots) -> Slots:
+        return {i: to_separation_metric(slot_enu_m, self.slots_have_height) for i, slot_enu_m in slots_enu_m.items()}
 
 
 def crossing_notice(i: int, j: int, distance_m: float, separation_m: float) -> Notice:
@@ -174,9 +181,9 @@ def refusal_of_tracks(tracks_enu_m: Tracks, peers: Iterable[PeerPacket], separat
         if not stays(peer):
             continue
         has_height = peer.phase in HELD
-        at = counted(peer.motion.position_enu_m, has_height)
+        at = to_separation_metric(peer.motion.position_enu_m, has_height)
         for vehicle_id, track_enu_m in tracks_enu_m.items():
-            points = [counted(point, has_height) for point in track_enu_m]
+            points = [to_separation_metric(point, has_height) for point in track_enu_m]
             longest_m = max((dist(a, b) for a, b in pairwise(points)), default=0.0)
             if min(dist(at, point) for point in points) - longest_m >= separation_m:
                 continue  # no segment comes nearer than that

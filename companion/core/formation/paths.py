@@ -16,7 +16,7 @@ from companion.core.consensus.peers import PeerState
 from companion.core.formation.limits import crossing_notice
 from companion.core.reference.blend import LONGEST_S, SAMPLES, SHORTEST_S, within
 from companion.geometry.curves import Curve, decay_to_rest, duration_s
-from companion.geometry.formations import ROUNDING_M, SLOT_ACCELERATION_M_S2, counted, in_formation_frame
+from companion.geometry.formations import ROUNDING_M, SLOT_ACCELERATION_M_S2, in_formation_frame, to_separation_metric
 from companion.types.autopilot import VehicleState
 from companion.types.flight import ON_GROUND, STREAMING, FlightPhase
 from companion.types.formation import Heading
@@ -262,5 +262,5 @@ def _distances_m(
         (x, y, z), (ox, oy, oz) = delta(t)[0], other(t)[0]
         here = (slot_m[0] + x, slot_m[1] + y, slot_m[2] + z)
         there = (other_slot_m[0] + ox, other_slot_m[1] + oy, other_slot_m[2] + oz)
-        apart_m.append(dist(counted(here, not level), counted(there, not level)))
+        apart_m.append(dist(to_separation_metric(here, not level), to_separation_metric(there, not level)))
     return apart_m

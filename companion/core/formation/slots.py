@@ -26,7 +26,7 @@ from companion.types.values import MAX_CHANGE_S, MIN_CHANGE_S, ZERO3, Vector3
 # Time until every vehicle knows who has accepted a change: each cancels it at its beginning where another one lacks it.
 AGREED_WITHIN_S = 0.3
 Check = Callable[[Steps[Notice | None]], Notice | Pending | None]
-"""Does the dear part of the checks of a change; PENDING where that takes more ticks."""
+"""Does the expensive part of the checks of a change; PENDING where that takes more ticks."""
 
 
 class SlotPlan:
@@ -61,7 +61,8 @@ class SlotPlan:
         `rft_enu_m` are the positions of the RFT that this vehicle knows, one a second: around none may a slot lie outside the
         fence or in an obstacle.
 
-        `check` does the dear part, after all other refusals: while the answer is BEING_CHECKED, ask again in the next tick.
+        `check` does the expensive part, after all other refusals: while the answer is BEING_CHECKED, ask again in the next
+        tick.
         """
         if change in (self._agreement.waiting, self._flown):
             return accept(Code.FORMATION_KNOWN, f"formation {change.number} is known")

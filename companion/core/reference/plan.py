@@ -129,7 +129,7 @@ class ReferencePlan:
         """(accepted, reason). `fleet_enu_m` is r of the fleet, derived from this vehicle's own position.
 
         `in_formation`: this vehicle forms or flies in formation, where mission time runs. A change replaces one that waits.
-        `checks` do the dear part, after all other refusals: while the answer is BEING_CHECKED, ask again in the next tick.
+        `checks` do the expensive part, after all other refusals: while the answer is BEING_CHECKED, ask again in the next tick.
         """
         if self._has(change):
             return accept(Code.REFERENCE_KNOWN, f"reference {change.number} is known")
