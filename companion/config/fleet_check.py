@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from companion.config.file import convert, read_as, refuse
 from companion.config.fleet import EdgeNeighbours, FleetConfig, law_problems
 from companion.config.validation import INVALID, Problem, each, unless_invalid
-from companion.config.values import BoxObstacle, CylinderObstacle, PositionM, Section, VehicleId, about
+from companion.config.values import PositionM, Section, VehicleId, about
 from companion.geometry.airspace import area_m2, crossing_sides
 from companion.geometry.formations import ROUNDING_M, to_separation_metric
 from companion.types.flight import Role
@@ -213,16 +213,8 @@ def airspace_problems(fleet: FleetConfig, where: str = "") -> Iterator[Problem]:
             yield Problem(f"{where}envelope.clearance_m", text)
     yield from _polygon(fleet, f"{where}envelope.fence_corners_enu_m")
     for index, obstacle in enumerate(fleet.obstacles):
-        match obstacle:
-            case CylinderObstacle(bottom_m=bottom_m, top_m=top_m) if bottom_m >= top_m:
-                yield Problem(
-                    f"{where}obstacles[{index}].bottom_m", f"{bottom_m:g}: expected less than top_m, {top_m:g}"
-                )
-            case BoxObstacle(min_enu_m=low_m, max_enu_m=high_m):
-                for axis, low, high in zip("xyz", low_m, high_m, strict=True):
-                    if low >= high:
-                        text = f"{axis} is {low:g}, expected less than max_enu_m's {high:g}"
-                        yield Problem(f"{where}obstacles[{index}].min_enu_m", text)
+        for key, problem in obstacle.contradictions():
+            yield Problem(f"{where}obstacles[{index}].{key}", problem)
 
 
 def _polygon(fleet: FleetConfig, where: str) -> Iterator[Problem]:

@@ -6,6 +6,7 @@ is in the name of the field. `about` is the description of a key, `written` of a
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any
 
 from msgspec import Meta, Struct
@@ -64,6 +65,11 @@ class CylinderObstacle(Section, frozen=True, tag_field="kind", tag="cylinder"):
     def body(self) -> Obstacle:
         return Cylinder(self.centre_enu_m, self.radius_m, self.bottom_m, self.top_m)
 
+    def contradictions(self) -> Iterator[tuple[str, str]]:
+        """Keys that contradict others, each with the problem."""
+        if self.bottom_m >= self.top_m:
+            yield "bottom_m", f"{self.bottom_m:g}: expected less than top_m, {self.top_m:g}"
+
 
 class BoxObstacle(Section, frozen=True, tag_field="kind", tag="box"):
     """A box along the axes of the fleet frame: a building, a wall."""
@@ -74,6 +80,12 @@ class BoxObstacle(Section, frozen=True, tag_field="kind", tag="box"):
     @property
     def body(self) -> Obstacle:
         return Cuboid(self.min_enu_m, self.max_enu_m)
+
+    def contradictions(self) -> Iterator[tuple[str, str]]:
+        """Keys that contradict others, each with the problem."""
+        for axis, low, high in zip("xyz", self.min_enu_m, self.max_enu_m, strict=True):
+            if low >= high:
+                yield "min_enu_m", f"{axis} is {low:g}, expected less than max_enu_m's {high:g}"
 
 
 ObstacleSection = CylinderObstacle | BoxObstacle

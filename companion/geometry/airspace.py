@@ -7,7 +7,7 @@ the unit vector in which it grows. No distance changes faster than the position,
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from math import dist, hypot, inf, sqrt
+from math import cos, dist, hypot, inf, pi, sin, sqrt
 
 from msgspec import Struct
 
@@ -22,6 +22,7 @@ UP, DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 EAST, WEST, NORTH, SOUTH = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)
 TOUCHES_M = 1e-9
 GAPS_PER_STEP = 500  # distances to walls and obstacles
+CIRCLE_CORNERS = 24  # of a cylinder as it is drawn
 
 
 class Cylinder(Struct, frozen=True, gc=False):
@@ -31,6 +32,12 @@ class Cylinder(Struct, frozen=True, gc=False):
     radius_m: float
     bottom_m: float
     top_m: float
+
+    @property
+    def outline_enu_m(self) -> tuple[Corner, ...]:
+        """Corners seen from above, metres."""
+        (x, y), angles = self.centre_enu_m, [2.0 * pi * k / CIRCLE_CORNERS for k in range(CIRCLE_CORNERS)]
+        return tuple((x + self.radius_m * cos(angle), y + self.radius_m * sin(angle)) for angle in angles)
 
     def gap(self, position_enu_m: Vector3) -> Gap:
         """Distance from its surface."""
@@ -54,6 +61,20 @@ class Cuboid(Struct, frozen=True, gc=False):
 
     min_enu_m: Vector3
     max_enu_m: Vector3
+
+    @property
+    def outline_enu_m(self) -> tuple[Corner, ...]:
+        """Corners seen from above, metres."""
+        (x0, y0, _), (x1, y1, _) = self.min_enu_m, self.max_enu_m
+        return (x0, y0), (x1, y0), (x1, y1), (x0, y1)
+
+    @property
+    def bottom_m(self) -> float:
+        return self.min_enu_m[2]
+
+    @property
+    def top_m(self) -> float:
+        return self.max_enu_m[2]
 
     def gap(self, position_enu_m: Vector3) -> Gap:
         """Distance from its surface."""

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
-from math import cos, inf, pi, sin
+from math import inf
 
 from companion.config.fleet import EdgeNeighbours, FleetConfig, RangeNeighbours
-from companion.geometry.airspace import Cuboid, Obstacle
 from companion.ground.fleet_state import FleetState, VehicleKey, fold, vehicles_at
 from companion.monitor.alarms import (
     MISSING,
@@ -232,7 +231,6 @@ def _sample(vehicle: VehicleView) -> HistorySample:
     )
 
 
-CIRCLE_CORNERS = 24
 NO_ORIGIN = (0.0, 0.0, 0.0)  # of a fleet indoors: there is no map below it
 
 
@@ -241,6 +239,7 @@ def fleet_map(fleet: FleetConfig, homes_enu_m: Mapping[int, Vector3]) -> FleetFi
     envelope, neighbours = fleet.envelope, fleet.neighbours
     (low_x, low_y, floor_m), (high_x, high_y, ceiling_m) = envelope.fence_min_enu_m, envelope.fence_max_enu_m
     box = ((low_x, low_y), (high_x, low_y), (high_x, high_y), (low_x, high_y))
+    bodies = [section.body for section in fleet.obstacles]
     return FleetFileView(
         name=fleet.name,
         law=fleet.law.name,
@@ -253,15 +252,6 @@ def fleet_map(fleet: FleetConfig, homes_enu_m: Mapping[int, Vector3]) -> FleetFi
         fence_floor_m=floor_m,
         fence_ceiling_m=ceiling_m,
         clearance_m=envelope.clearance_m,
-        obstacles=tuple(_obstacle(section.body) for section in fleet.obstacles),
+        obstacles=tuple(ObstacleView(body.outline_enu_m, body.bottom_m, body.top_m) for body in bodies),
         homes_enu_m=dict(homes_enu_m),
     )
-
-
-def _obstacle(body: Obstacle) -> ObstacleView:
-    if isinstance(body, Cuboid):
-        (x0, y0, floor_m), (x1, y1, top_m) = body.min_enu_m, body.max_enu_m
-        return ObstacleView(((x0, y0), (x1, y0), (x1, y1), (x0, y1)), floor_m, top_m)
-    (x, y), angles = body.centre_enu_m, [2.0 * pi * k / CIRCLE_CORNERS for k in range(CIRCLE_CORNERS)]
-    outline = tuple((x + body.radius_m * cos(a), y + body.radius_m * sin(a)) for a in angles)
-    return ObstacleView(outline, body.bottom_m, body.top_m)

@@ -13,7 +13,6 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, tzinfo
-from math import cos, pi, sin
 from typing import Any
 
 import matplotlib
@@ -23,7 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
-from companion.geometry.airspace import Cuboid, Cylinder, Obstacle
+from companion.geometry.airspace import Obstacle
 from companion.report.flight import Floats
 
 # The colour-blind safe palette of Okabe and Ito. 28 curves differ in colour or style.
@@ -42,7 +41,6 @@ OBSTACLE: dict[str, Any] = {
     "zorder": 1.5,
 }
 MARKERS_PER_CURVE = 12
-CORNERS = 24  # of a cylinder
 DPI = 130
 
 
@@ -136,18 +134,7 @@ def draw_fence(axes: Axes, corners_enu_m: Sequence[tuple[float, float]]) -> None
 def draw_obstacles(axes: Axes, obstacles: Iterable[Obstacle]) -> None:
     """Obstacles from above, hatched, with one entry in the legend."""
     for obstacle in obstacles:
-        axes.add_patch(Polygon(_outline(obstacle), label=label_once(axes, "obstacle"), **OBSTACLE))
-
-
-def _outline(obstacle: Obstacle) -> list[tuple[float, float]]:
-    """Corners of an obstacle from above."""
-    if isinstance(obstacle, Cuboid):
-        (x0, y0, _), (x1, y1, _) = obstacle.min_enu_m, obstacle.max_enu_m
-        return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
-    assert isinstance(obstacle, Cylinder)
-    x, y = obstacle.centre_enu_m
-    angles = [2.0 * pi * i / CORNERS for i in range(CORNERS)]
-    return [(x + obstacle.radius_m * cos(angle), y + obstacle.radius_m * sin(angle)) for angle in angles]
+        axes.add_patch(Polygon(obstacle.outline_enu_m, label=label_once(axes, "obstacle"), **OBSTACLE))
 
 
 # ------------------------------------------------------------ figures of the report's page
