@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -94,35 +94,26 @@ def with_addresses(
 def fleet_text(new: NewFleet, planned: PlannedFormation) -> str:
     """The whole fleet file."""
     fleet = planned.fleet
-    indoor = new.origin == "indoor"
-    successors = [commented(f"successors: {inline(list(fleet.successors))}", "become leader in this order")]
-    lines = [
+    outdoors = new.origin != "indoor"
+    slots = "slots are offsets from the reference: x east, y north, z up; addresses in the fleet's network"
+    lines = (
         "# The settings that all vehicles share. Every vehicle needs the same file: its hash is part of every packet.",
         "# Lengths are in metres in the fleet frame, ENU: x east, y north, z up from the origin.",
         commented(f"name: {fleet.name}", "name of the fleet on the network"),
         commented(f"origin: {inline(fleet.origin)}", "zero of the fleet frame, on the field"),
-        *(
-            []
-            if indoor
-            else [commented("altitude_source: takeoff", "z is zero where each vehicle is armed: level ground")]
-        ),
-        *([] if indoor else [commented("ground_spread_m: 3.0", "altitudes by GPS differ by a metre or two")]),
-        *(
-            [commented("security: none", "no identities: all who reach the network can command the fleet")]
-            if fleet.security
-            else []
-        ),
-        commented(
-            "vehicles:", "slots are offsets from the reference: x east, y north, z up; addresses in the fleet's network"
-        ),
+        outdoors and commented("altitude_source: takeoff", "z is zero where each vehicle is armed: level ground"),
+        outdoors and commented("ground_spread_m: 3.0", "altitudes by GPS differ by a metre or two"),
+        fleet.security
+        and commented("security: none", "no identities: all who reach the network can command the fleet"),
+        commented("vehicles:", slots),
         *vehicle_lines(fleet.vehicles),
         *settings_lines(planned, new.formation),
         commented(f"  max_tilt_deg: {fleet.envelope.max_tilt_deg:g}", "no setpoint tilts more than this"),
-        *(successors if fleet.successors else []),
+        fleet.successors and commented(f"successors: {inline(list(fleet.successors))}", "become leader in this order"),
         commented(f"land_after_s: {LAND_AFTER_S:g}", "time in hold without a leader, then each vehicle lands"),
         commented("leave_below_percent: 25", "with less battery a vehicle leaves the formation and lands"),
-    ]
-    return "\n".join(lines) + "\n"
+    )
+    return _text_of(lines)
 
 
 def vehicle_text(new: NewFleet, planned: PlannedFormation, vehicle_id: int, mavlink: str, secured: bool) -> str:
@@ -131,26 +122,24 @@ def vehicle_text(new: NewFleet, planned: PlannedFormation, vehicle_id: int, mavl
     leads = member is not None and member.can_lead
     named = new.hover_parameters
     parameters = named[new.autopilot] if new.autopilot else ", ".join(named.values())
-    reference = inline(planned.reference)
-    lines = [
+    hover = f"hover_thrust_norm: {new.hover_thrust_norm:g}"
+    lines = (
         f"# The settings of vehicle {vehicle_id}. Its agent: companion agent --config vehicle-{vehicle_id}.yaml",
         commented(f"id: {vehicle_id}", "MAVLink system id of the autopilot (MAV_SYS_ID, SYSID_THISMAV)"),
         commented("fleet: fleet.yaml", "relative to this file"),
         commented(f"mavlink: {mavlink}", "or udpin:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD"),
-        *([commented(f"autopilot: {new.autopilot}", "no other is accepted")] if new.autopilot else []),
-        commented(
-            f"hover_thrust_norm: {new.hover_thrust_norm:g}",
-            f"initial value ({parameters}); estimated in flight",
-        ),
-        *([commented("identity: identity", "folder beside this file, from companion provision")] if secured else []),
-        *(
-            ["# The trajectory of the formation. Vehicles that may lead hold it, all of them the same."]
-            if leads
-            else []
-        ),
-        *([f"reference: {reference}"] if leads else []),
-    ]
-    return "\n".join(lines) + "\n"
+        new.autopilot and commented(f"autopilot: {new.autopilot}", "no other is accepted"),
+        commented(hover, f"initial value ({parameters}); estimated in flight"),
+        secured and commented("identity: identity", "folder beside this file, from companion provision"),
+        leads and "# The trajectory of the formation. Vehicles that may lead hold it, all of them the same.",
+        leads and f"reference: {inline(planned.reference)}",
+    )
+    return _text_of(lines)
+
+
+def _text_of(lines: Iterable[object]) -> str:
+    """A file of these lines, without those that a condition before them leaves out."""
+    return "".join(f"{line}\n" for line in lines if line)
 
 
 def _next_steps(folder: Path, addresses: Mapping[int, str], secured: bool) -> str:
@@ -181,19 +170,14 @@ def _addresses(new: NewFleet) -> dict[int, str]:
     return addresses
 
 
-def _filled(pattern: str, vehicle_id: int) -> str:
-    return ID_IN_PATTERN.sub(lambda found: str(vehicle_id + int(found[1] or 0)), pattern)
-
-
 def _per_vehicle(values: Sequence[str], count: int, option: str) -> list[str]:
     """One value for each vehicle: as given, or by the pattern. Raises ConfigError."""
     if len(values) == 1:
-        return [_filled(values[0], vehicle_id) for vehicle_id in range(1, count + 1)]
+        fill = ID_IN_PATTERN.sub
+        return [fill(lambda id_: str(i + int(id_[1] or 0)), values[0]) for i in range(1, count + 1)]  # noqa: B023
     if len(values) != count:
-        text = (
-            f"{len(values)} given for {count} vehicles; expected one for each, or one pattern like 192.168.10.{{id+10}}"
-        )
-        refuse("companion init", [Problem(option, text)])
+        expected = "one for each, or one pattern like 192.168.10.{id+10}"
+        raise ConfigError("companion init", option, f"{len(values)} given for {count} vehicles; expected {expected}")
     return list(values)
 
 
