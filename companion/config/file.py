@@ -109,14 +109,14 @@ def convert(path: Path, data: Any, type_: type[T], check: Callable[[T], Iterable
     """
     if data is None:
         raise ConfigError(path, "", "is empty")
-    value, problems = _converted(data, type_)
+    value, problems = _convert(data, type_)
     if check is not None:
         problems += each(check(value))
     refuse(path, in_file_order(data, problems))
     return value
 
 
-def _converted(data: Any, type_: type[T]) -> tuple[T, list[Problem]]:
+def _convert(data: Any, type_: type[T]) -> tuple[T, list[Problem]]:
     if all_finite(data):
         try:
             return msgspec.convert(data, type_, strict=True), []
@@ -232,7 +232,7 @@ SET = Path("--set")  # named in errors instead of a file
 LONGEST_KEY = 200
 
 
-def overridden(data: Any, overrides: Sequence[str], example: str) -> Any:
+def override(data: Any, overrides: Sequence[str], example: str) -> Any:
     """A copy of the content with these values. Raises ConfigError, where `example` may help."""
     data = deepcopy(data)
     for override in overrides:

@@ -74,7 +74,7 @@ class Law(Section, frozen=True):
         ),
     ] = 2.0
 
-    def renamed(self, name: LawName) -> Law:
+    def with_name(self, name: LawName) -> Law:
         """Another law with these settings, for comparisons. The paper's three laws share their gains."""
         if name == self.name:
             return self

@@ -65,7 +65,7 @@ def start_problems(fleet: FleetConfig, starts_enu_m: Mapping[int, Vector3]) -> I
     for vehicle_id in sorted(ids - starts_enu_m.keys()):
         yield Problem(f"starts_enu_m.{vehicle_id}", "missing; every vehicle needs a position to start from")
     for vehicle_id in sorted(starts_enu_m.keys() - ids):
-        yield Problem(f"starts_enu_m.{vehicle_id}", f"no such vehicle in the fleet; expected {_listed(sorted(ids))}")
+        yield Problem(f"starts_enu_m.{vehicle_id}", f"no such vehicle in the fleet; expected {_list_ids(sorted(ids))}")
     for i, j in combinations(sorted(ids & starts_enu_m.keys()), 2):
         if (apart_m := dist(starts_enu_m[i], starts_enu_m[j])) < CLOSEST_STARTS_M:
             yield Problem(
@@ -92,7 +92,7 @@ def _members(fleet: FleetConfig, where: str) -> Iterator[Problem]:
 def _leader(fleet: FleetConfig, where: str) -> Iterator[Problem]:
     roles = [member.role == Role.LEADER for member in fleet.vehicles]
     if roles and not any(roles):
-        ids = _listed([member.id for member in fleet.vehicles])
+        ids = _list_ids([member.id for member in fleet.vehicles])
         yield Problem(where, f"no vehicle leads; set role: leader for at least one of {ids}")
 
 
@@ -101,7 +101,7 @@ def _successors(fleet: FleetConfig, where: str) -> Iterator[Problem]:
     for index, vehicle_id in enumerate(fleet.successors):
         member = fleet.member(vehicle_id)
         if member is None or not member.can_lead:
-            may_lead = _listed([member.id for member in fleet.vehicles if member.can_lead])
+            may_lead = _list_ids([member.id for member in fleet.vehicles if member.can_lead])
             hint = "" if member is None else f", or may_lead: true for vehicle {vehicle_id}"
             yield Problem(f"{where}[{index}]", f"vehicle {vehicle_id} may not lead; expected some of {may_lead}{hint}")
         if vehicle_id in named:
@@ -118,7 +118,7 @@ def _edges(fleet: FleetConfig, where: str) -> Iterator[Problem]:
             if vehicle_id not in ids:
                 yield Problem(
                     f"{where}[{index}]",
-                    f"{list(edge)} names vehicle {vehicle_id}, which is not in the fleet; expected two of {_listed(ids)}",
+                    f"{list(edge)} names vehicle {vehicle_id}, which is not in the fleet; expected two of {_list_ids(ids)}",
                 )
         if edge[0] == edge[1]:
             yield Problem(f"{where}[{index}]", f"{list(edge)} joins a vehicle to itself; expected two different ids")
@@ -230,7 +230,7 @@ def _polygon(fleet: FleetConfig, where: str) -> Iterator[Problem]:
         yield Problem(where, f"has an area of {size_m2:.2f} m^2; expected at least {SMALLEST_AREA_M2:g}")
 
 
-def _listed(ids: list[int]) -> str:
+def _list_ids(ids: list[int]) -> str:
     return ", ".join(str(i) for i in ids)
 
 

@@ -16,8 +16,8 @@ from companion.config.new_formation import (
     NewFormation,
     PlannedFormation,
     ProblemsOf,
+    add_comment,
     check_choices,
-    commented,
     inline,
     planned_formation,
     settings_lines,
@@ -99,19 +99,20 @@ def fleet_text(new: NewFleet, planned: PlannedFormation) -> str:
     lines = (
         "# The settings that all vehicles share. Every vehicle needs the same file: its hash is part of every packet.",
         "# Lengths are in metres in the fleet frame, ENU: x east, y north, z up from the origin.",
-        commented(f"name: {fleet.name}", "name of the fleet on the network"),
-        commented(f"origin: {inline(fleet.origin)}", "zero of the fleet frame, on the field"),
-        outdoors and commented("altitude_source: takeoff", "z is zero where each vehicle is armed: level ground"),
-        outdoors and commented("ground_spread_m: 3.0", "altitudes by GPS differ by a metre or two"),
+        add_comment(f"name: {fleet.name}", "name of the fleet on the network"),
+        add_comment(f"origin: {inline(fleet.origin)}", "zero of the fleet frame, on the field"),
+        outdoors and add_comment("altitude_source: takeoff", "z is zero where each vehicle is armed: level ground"),
+        outdoors and add_comment("ground_spread_m: 3.0", "altitudes by GPS differ by a metre or two"),
         fleet.security
-        and commented("security: none", "no identities: all who reach the network can command the fleet"),
-        commented("vehicles:", slots),
+        and add_comment("security: none", "no identities: all who reach the network can command the fleet"),
+        add_comment("vehicles:", slots),
         *vehicle_lines(fleet.vehicles),
         *settings_lines(planned, new.formation),
-        commented(f"  max_tilt_deg: {fleet.envelope.max_tilt_deg:g}", "no setpoint tilts more than this"),
-        fleet.successors and commented(f"successors: {inline(list(fleet.successors))}", "become leader in this order"),
-        commented(f"land_after_s: {LAND_AFTER_S:g}", "time in hold without a leader, then each vehicle lands"),
-        commented("leave_below_percent: 25", "with less battery a vehicle leaves the formation and lands"),
+        add_comment(f"  max_tilt_deg: {fleet.envelope.max_tilt_deg:g}", "no setpoint tilts more than this"),
+        fleet.successors
+        and add_comment(f"successors: {inline(list(fleet.successors))}", "become leader in this order"),
+        add_comment(f"land_after_s: {LAND_AFTER_S:g}", "time in hold without a leader, then each vehicle lands"),
+        add_comment("leave_below_percent: 25", "with less battery a vehicle leaves the formation and lands"),
     )
     return _text_of(lines)
 
@@ -125,12 +126,12 @@ def vehicle_text(new: NewFleet, planned: PlannedFormation, vehicle_id: int, mavl
     hover = f"hover_thrust_norm: {new.hover_thrust_norm:g}"
     lines = (
         f"# The settings of vehicle {vehicle_id}. Its agent: companion agent --config vehicle-{vehicle_id}.yaml",
-        commented(f"id: {vehicle_id}", "MAVLink system id of the autopilot (MAV_SYS_ID, SYSID_THISMAV)"),
-        commented("fleet: fleet.yaml", "relative to this file"),
-        commented(f"mavlink: {mavlink}", "or udpin:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD"),
-        new.autopilot and commented(f"autopilot: {new.autopilot}", "no other is accepted"),
-        commented(hover, f"initial value ({parameters}); estimated in flight"),
-        secured and commented("identity: identity", "folder beside this file, from companion provision"),
+        add_comment(f"id: {vehicle_id}", "MAVLink system id of the autopilot (MAV_SYS_ID, SYSID_THISMAV)"),
+        add_comment("fleet: fleet.yaml", "relative to this file"),
+        add_comment(f"mavlink: {mavlink}", "or udpin:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD"),
+        new.autopilot and add_comment(f"autopilot: {new.autopilot}", "no other is accepted"),
+        add_comment(hover, f"initial value ({parameters}); estimated in flight"),
+        secured and add_comment("identity: identity", "folder beside this file, from companion provision"),
         leads and "# The trajectory of the formation. Vehicles that may lead hold it, all of them the same.",
         leads and f"reference: {inline(planned.reference)}",
     )

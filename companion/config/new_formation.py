@@ -96,7 +96,7 @@ def planned_formation(
     for _ in range(MOST_ATTEMPTS):
         if not any(problem.field in PACE_FIELDS for problem in problems_of(fleet, reference)):
             break
-        reference = reference.slowed(SLOWER)
+        reference = reference.slow_down(SLOWER)
     return PlannedFormation(fleet, reference)
 
 
@@ -130,21 +130,21 @@ def settings_lines(planned: PlannedFormation, new: NewFormation) -> list[str]:
     laws = "cooperative is the law to fly; the paper's are weighted, average_22, average_26"
     headings = "fixed: the slots' x axis is east; course: it follows the direction of flight"
     return [
-        commented(f"neighbours: {inline(fleet.neighbours)}", TOPOLOGY_WORDS[new.topology]),
-        commented(f"law: {{name: {new.law}}}", laws),
-        commented(f"formation_heading: {new.heading}", headings),
-        commented(
+        add_comment(f"neighbours: {inline(fleet.neighbours)}", TOPOLOGY_WORDS[new.topology]),
+        add_comment(f"law: {{name: {new.law}}}", laws),
+        add_comment(f"formation_heading: {new.heading}", headings),
+        add_comment(
             f"slot_speed_m_s: {fleet.slot_speed_m_s:g}", "largest speed of a slot when the formation turns or changes"
         ),
-        commented(f"separation_m: {fleet.separation_m:g}", "smallest distance at take-off and between slots"),
+        add_comment(f"separation_m: {fleet.separation_m:g}", "smallest distance at take-off and between slots"),
         f"takeoff_height_m: {fleet.takeoff_height_m:g}",
-        commented("envelope:", "the fence contains the reference with all slots, and a margin"),
+        add_comment("envelope:", "the fence contains the reference with all slots, and a margin"),
         f"  fence_min_enu_m: {inline(list(envelope.fence_min_enu_m))}",
         f"  fence_max_enu_m: {inline(list(envelope.fence_max_enu_m))}",
     ]
 
 
-def commented(line: str, comment: str) -> str:
+def add_comment(line: str, comment: str) -> str:
     """A line of YAML with a comment, in one column where the line is short."""
     return f"{line:<28} # {comment}"
 

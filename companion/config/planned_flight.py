@@ -122,7 +122,7 @@ def members_of(shape: ShapeName, count: int, spacing_m: float, heading_deg: floa
     """Vehicles 1 to `count` in the slots of a shape, to the millimetre. Vehicle 1 is the leader."""
     slots = slots_of(SHAPES[shape], count, spacing_m, radians(heading_deg))
     return tuple(
-        FormationMember(id=index + 1, role=Role.FOLLOWER if index else Role.LEADER, slot_enu_m=_rounded(slot))
+        FormationMember(id=index + 1, role=Role.FOLLOWER if index else Role.LEADER, slot_enu_m=_round(slot))
         for index, slot in enumerate(slots)
     )
 
@@ -148,7 +148,7 @@ def _default_starts(fleet: FleetConfig, reference_enu_m: Vector3) -> dict[int, V
     nearest_m = min((dist(a[:2], b[:2]) for a, b in combinations(slots.values(), 2)), default=fleet.separation_m)
     needed_m = START_CLEARANCE * fleet.separation_m
     scale = max(1.0, needed_m / nearest_m) if nearest_m > 0.0 and nearest_m < fleet.separation_m else 1.0
-    return {i: _rounded((x0 + scale * x, y0 + scale * y, 0.0)) for i, (x, y, _) in slots.items()}
+    return {i: _round((x0 + scale * x, y0 + scale * y, 0.0)) for i, (x, y, _) in slots.items()}
 
 
 def _connecting_range_m(slots_enu_m: list[Vector3]) -> float:
@@ -162,7 +162,7 @@ def _connecting_range_m(slots_enu_m: list[Vector3]) -> float:
     return longest_m
 
 
-def _rounded(position_m: Vector3) -> Vector3:
+def _round(position_m: Vector3) -> Vector3:
     x, y, z = (round(coordinate, 3) + 0.0 for coordinate in position_m)
     return (x, y, z)
 

@@ -134,7 +134,7 @@ class BaseReference(Section, frozen=True):
         """(key, its value, advice) where it must take this many times longer."""
         raise NotImplementedError
 
-    def slowed(self, times: float) -> Self:
+    def slow_down(self, times: float) -> Self:
         """The same with a pace that takes this many times longer, in rounded values."""
         del times
         return self
@@ -181,7 +181,7 @@ class LappingReference(BaseReference, frozen=True):
         period_s, ramp_s = (ceil(seconds * times * 10.0) / 10.0 for seconds in (self.period_s, self.ramp_s))
         return "period_s", f"{self.period_s:g} s", f"at least {period_s:g} s with ramp_s {ramp_s:g}"
 
-    def slowed(self, times: float) -> Self:
+    def slow_down(self, times: float) -> Self:
         return replace(self, period_s=float(ceil(self.period_s * times)))
 
 
@@ -221,7 +221,7 @@ class LimitedReference(BaseReference, frozen=True):
         advice = f"at most {acceleration_m_s2:g} m/s^2 with max_speed_m_s {speed_m_s:g}"
         return "max_acceleration_m_s2", f"{self.max_acceleration_m_s2:g} m/s^2", advice
 
-    def slowed(self, times: float) -> Self:
+    def slow_down(self, times: float) -> Self:
         return replace(
             self,
             max_speed_m_s=round(self.max_speed_m_s / times, 3),

@@ -173,7 +173,7 @@ def _own_problem(data: Any, type_: Any, field: str) -> Problem | None:
         msgspec.convert(data, type_, strict=True)
     except msgspec.ValidationError as error:
         problem, inside, _ = str(error).partition(" - at `")
-        return None if inside else Problem(field, _explained(data, type_, problem))
+        return None if inside else Problem(field, _explain(data, type_, problem))
     return None
 
 
@@ -268,7 +268,7 @@ def _keys_inside(type_: Any, path: str = "") -> dict[str, str]:
 # ---------------------------------------------------------------- words
 
 
-def _explained(value: Any, type_: Any, problem: str) -> str:
+def _explain(value: Any, type_: Any, problem: str) -> str:
     """msgspec's "Expected `float`, got `str`" with the value and what is allowed."""
     if problem.startswith(("Invalid enum value", "Invalid value")) and (choices := _choices(type_)):
         return f"{value!r}: expected one of {', '.join(choices)}{did_you_mean(value, choices)}"

@@ -125,7 +125,7 @@ class AutopilotLink:
 
     def relay(self, data: bytes) -> None:
         """Send the messages of another program on this computer as packets of this agent."""
-        for packet in self._translator.relayed(data):
+        for packet in self._translator.relay(data):
             self._send(packet)
 
     async def receive(self) -> None:
@@ -281,7 +281,7 @@ def _secret(vehicle_file: Path, where: str, path: Path) -> bytes:
         raise ConfigError(vehicle_file, where, f"{error.strerror}; check the path and its permissions") from error
     if state.st_mode & stat.S_IRWXO:
         raise ConfigError(vehicle_file, where, f"every user of this computer has access to the key; chmod 600 {path}")
-    secret = _decoded(content)
+    secret = _decode_key(content)
     if secret is None:
         raise ConfigError(vehicle_file, where, f"{len(content)} bytes that are not a key; {WANTED}")
     if not any(secret):
@@ -289,7 +289,7 @@ def _secret(vehicle_file: Path, where: str, path: Path) -> bytes:
     return secret
 
 
-def _decoded(content: bytes) -> bytes | None:
+def _decode_key(content: bytes) -> bytes | None:
     """The key in a file's content, or None. 32 hexadecimal digits are half a key, not 32 bytes."""
     if re.fullmatch(rb"\s*[0-9a-fA-F]{64}\s*", content):
         return bytes.fromhex(content.decode("ascii"))

@@ -26,7 +26,7 @@ from companion.types.notices import Code, Notice
 from companion.types.status import RecordingState
 from companion.types.tick import Inbox, Outbox
 from companion.wire.messages import StatusReport
-from companion.wire.rounding import as_sent, target_as_sent
+from companion.wire.rounding import round_outbox, round_target
 
 if TYPE_CHECKING:
     from companion.link.autopilot_link import AutopilotLink
@@ -94,15 +94,15 @@ class ControlLoop:
         sent_s = time.monotonic()
         self._late.cycle(due_s, now_s)
         self._meter.tick(now_s)
-        outbox = as_sent(self._agent.report(decision))
+        outbox = round_outbox(self._agent.report(decision))
         report = self._publish(now_s, outbox)
-        self._notifier.cycle_completed(now_s, self._autopilot.is_connected and self._peers.is_open)
+        self._notifier.complete_cycle(now_s, self._autopilot.is_connected and self._peers.is_open)
         late_s, self._ticked_s = max(0.0, now_s - self._ticked_s - PERIOD_S), now_s
         if self._recorder:
             decide_us, whole_us = _us(sent_s - began_s), _us(time.monotonic() - began_s)
             timing = TimingRecord(now_s, _us(late_s), decide_us, whole_us, latency_us)
             if notice := self._recorder.tick(now_s, inbox, decision, outbox, report, timing):
-                self._events.happened(notice, now_s)
+                self._events.log(notice, now_s)
         self._begun = None
 
     def _inbox(self, now_s: float) -> Inbox:
@@ -117,7 +117,7 @@ class ControlLoop:
         Returns the time from the newest position to its setpoint, us.
         """
         latency_us, wanted = None, decision.setpoint.target
-        target = target_as_sent(wanted) if wanted else None
+        target = round_target(wanted) if wanted else None
         self._response.sent(decision.flight, target, decision.setpoint.hover_thrust_norm)
         if target:
             self._autopilot.command(target, now_s)
@@ -142,7 +142,7 @@ class ControlLoop:
             self._notifier.status(status_line(outbox.status))
             self._rejections.update(outbox.status.rejected, now_s)
         for event in outbox.events:
-            self._events.happened(event, now_s)
+            self._events.log(event, now_s)
         return report
 
     def _measure_command(self, telemetry: Sequence[Telemetry]) -> int | None:
@@ -151,7 +151,7 @@ class ControlLoop:
         if not arrivals_s:
             return None
         sent_s = time.monotonic()
-        self._meter.command_sent(arrivals_s[-1], sent_s)
+        self._meter.add_command(arrivals_s[-1], sent_s)
         return _us(sent_s - arrivals_s[-1])
 
     # ------------------------------------------------------------ after a failure
@@ -205,7 +205,7 @@ class ControlLoop:
         gc.collect()
         gc.freeze()  # objects made until now stay; the collector skips them in a tick
         async with asyncio.TaskGroup() as group:
-            tasks = [group.create_task(self._guarded(job)) for job in jobs]
+            tasks = [group.create_task(self._guard(job)) for job in jobs]
             await self._trigger.run(partial(self._tick_now, time.monotonic() + wait_s), self._prepare)
             if self._failure:
                 await self._end_after_failure(self._failure)
@@ -250,7 +250,7 @@ class ControlLoop:
             await asyncio.sleep(PERIOD_S)
             ended = self.hand_over(time.monotonic())
 
-    async def _guarded(self, job: Job) -> None:
+    async def _guard(self, job: Job) -> None:
         """A job whose failure ends the loop by a hand-over, while the links still work."""
         try:
             await job()

@@ -55,7 +55,7 @@ class DroppingHandler(logging.Handler):
         if self.dropped:
             text += f" ({self.dropped} lines dropped before, while the log took none)"
         try:
-            self._waiting.put_nowait(self._made(record, text))
+            self._waiting.put_nowait(self._make(record, text))
             self.dropped = 0
         except queue.Full:
             self.dropped += 1
@@ -70,7 +70,7 @@ class DroppingHandler(logging.Handler):
             self._write(self._waiting.get())
             self._waiting.task_done()
 
-    def _made(self, _record: logging.LogRecord, text: str) -> Any:
+    def _make(self, _record: logging.LogRecord, text: str) -> Any:
         """What waits in the queue for `_write`; made by the caller's thread."""
         return text
 
@@ -147,7 +147,7 @@ class AgentEventLog:
     def __init__(self) -> None:
         self._limiter = LogLimiter()
 
-    def happened(self, event: Notice, now_s: float) -> None:
+    def log(self, event: Notice, now_s: float) -> None:
         """Log one event: a health flag as a warning."""
         level = logging.WARNING if event.code in FLAGS else logging.INFO
         self._limiter.log(level, event.code, str(event), now_s)
@@ -176,7 +176,7 @@ class CommandLog:
     def __init__(self) -> None:
         self._limiter = LogLimiter()
 
-    def answered(self, command: Command, reply: CommandReply, now_s: float) -> None:
+    def log(self, command: Command, reply: CommandReply, now_s: float) -> None:
         """Log one command with its reply."""
         outcome = "accepted" if reply.accepted else "refused"
         self._limiter.log(

@@ -36,7 +36,7 @@ class Notifier:
         self._is_ready = False
         self._status = ""
 
-    def cycle_completed(self, now_s: float, links_up: bool) -> None:
+    def complete_cycle(self, now_s: float, links_up: bool) -> None:
         """Report a completed control cycle. The first one with autopilot and fleet link makes the service ready."""
         if links_up and not self._is_ready:
             self._is_ready = self._send("READY=1")
@@ -123,7 +123,7 @@ class JournalHandler(DroppingHandler):
         self._phase = phase
         super().__init__(descriptor)
 
-    def _made(self, record: logging.LogRecord, text: str) -> tuple[bytes, str]:
+    def _make(self, record: logging.LogRecord, text: str) -> tuple[bytes, str]:
         """The datagram, and the line for standard error."""
         fields = {
             "MESSAGE": text,

@@ -198,7 +198,7 @@ class TickMeter:
         self._ticks += 1
         self._last_s = now_s
 
-    def command_sent(self, position_received_s: float, sent_s: float) -> None:
+    def add_command(self, position_received_s: float, sent_s: float) -> None:
         """Record that the setpoint for this position was handed to the socket."""
         if not self._frozen:
             self._telemetry_to_command.add((sent_s - position_received_s) * 1e6)
@@ -210,7 +210,7 @@ class TickMeter:
             self._formed, self._frozen = True, None
             self._start(now_s)
         elif not in_formation and self._formed and not self._frozen:
-            self._frozen = self._measured(now_s)
+            self._frozen = self._measure(now_s)
 
     def timing(self, now_s: float) -> Timing:
         """Timing since the start, or of the last formation; at most MEASURED_PERIOD_S old."""
@@ -218,12 +218,12 @@ class TickMeter:
             return self._frozen
         if self._newest and now_s - self._newest[0] < MEASURED_PERIOD_S:
             return self._newest[1]
-        measured = self._measured(now_s)
+        measured = self._measure(now_s)
         if self._ticks >= MEASURED_TICKS:
             self._newest = now_s, measured
         return measured
 
-    def _measured(self, now_s: float) -> Timing:
+    def _measure(self, now_s: float) -> Timing:
         elapsed_s = self._last_s - self._first_s
         wall_s = now_s - self._first_s
         return Timing(

@@ -54,7 +54,7 @@ OTHERS: tuple[tuple[int, str, int, int, int], ...] = (
 
 def main(arguments: list[str]) -> int:
     """The exit code."""
-    texts = generated()
+    texts = generate()
     if "--check" not in arguments:
         for name, text in texts.items():
             (GENERATED / name).write_text(text, encoding="utf-8")
@@ -70,9 +70,9 @@ def main(arguments: list[str]) -> int:
     return 1
 
 
-def generated() -> dict[str, str]:
+def generate() -> dict[str, str]:
     """The text of each generated file by its name."""
-    parsed, wanted_messages, wanted_enums = _parsed(SOURCE), set(MESSAGES.split()), set(ENUMS.split())
+    parsed, wanted_messages, wanted_enums = _parse(SOURCE), set(MESSAGES.split()), set(ENUMS.split())
     messages = [message for xml in parsed for message in xml.message]
     used = [_without_texts(message) for message in messages if message.name in wanted_messages]
     others = [message for message in messages if message.name not in wanted_messages]
@@ -88,7 +88,7 @@ def version_in(text: str) -> str:
     return text.rpartition(MADE_WITH)[2].strip()
 
 
-def _parsed(name: str) -> list[Any]:
+def _parse(name: str) -> list[Any]:
     """This definition file and all that it includes, read by pymavlink, which prints what it finds odd in them."""
     folder = Path(pymavlink.dialects.v20.__file__).parent
     found: dict[str, Any] = {}

@@ -103,14 +103,16 @@ class Translator:
         message = packet.fields
         kind = autopilot_kind(message)
         if kind is None or self._autopilot not in (None, kind):
-            self.refused_heartbeat = f"HEARTBEAT reports {describe_heartbeat(message)}, expected {self._expected()}"
+            self.refused_heartbeat = (
+                f"HEARTBEAT reports {describe_heartbeat(message)}, expected {self._describe_expected()}"
+            )
             self.rejected[Code.AUTOPILOT_OTHER_MAKE] += 1
             return ()
         self._autopilot = kind
         mode = ModeSample(received_s, *self.dialect.mode_of(message.custom_mode))
         return (telemetry.heartbeat(message, kind, received_s), mode)
 
-    def _expected(self) -> str:
+    def _describe_expected(self) -> str:
         expected = [DIALECTS[self._autopilot]] if self._autopilot else list(DIALECTS.values())
         return " or ".join(f"{dialect.MAV_AUTOPILOT} ({dialect.NAME})" for dialect in expected)
 
@@ -173,7 +175,7 @@ class Translator:
         """The MAVLink packet of a request."""
         return self._codec.encode(self.dialect.command_for(request, self._system_id))
 
-    def relayed(self, data: bytes) -> list[bytes]:
+    def relay(self, data: bytes) -> list[bytes]:
         """Messages of another program as packets of this link, signed where the link is signed."""
         return [self._codec.encode(message) for message in self._relay_codec.decode(data)]
 

@@ -17,7 +17,7 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import fields
 
-from companion.config.file import SET, ConfigError, convert, overridden
+from companion.config.file import SET, ConfigError, convert, override
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import fleet_problems
 from companion.config.validation import Problem, each
@@ -197,7 +197,7 @@ def recorded_config(path: Path, header: Header, overrides: Sequence[str] = ()) -
     config = _checked(path, files, header.vehicle_id)
     if not overrides:
         return config
-    return _checked(SET, overridden(files, overrides, EXAMPLE), header.vehicle_id)
+    return _checked(SET, override(files, overrides, EXAMPLE), header.vehicle_id)
 
 
 def _plain(path: Path, text: str, what: str) -> Any:

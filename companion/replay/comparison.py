@@ -19,7 +19,7 @@ from companion.types.autopilot import AttitudeTarget
 from companion.types.errors import CompanionError
 from companion.types.status import Status
 from companion.types.tick import Outbox
-from companion.wire.rounding import as_sent
+from companion.wire.rounding import round_outbox
 
 Progress = Callable[[int, float], None]
 """Called with the number of ticks replayed so far, and the time of the last one since the first."""
@@ -89,7 +89,7 @@ def replay(recording: Recording, progress: Progress, warn: Warn) -> ReplayResult
 
 def _compared(agent: Agent, tick: RecordedTick) -> Difference | None:
     try:
-        computed = as_sent(agent.step(tick.now_s, tick.inbox))
+        computed = round_outbox(agent.step(tick.now_s, tick.inbox))
     except Exception as error:  # noqa: BLE001 -- a defect of the agent is what a replay is to find
         return Difference("the agent", "an output" if tick.output else "no output", f"{type(error).__name__}: {error}")
     if not tick.output or encode_outbox(tick.now_s, computed) == tick.output:
@@ -212,7 +212,7 @@ def compare(
 def _command(agent: Agent, tick: RecordedTick) -> AttitudeTarget | None:
     """Raises _AgentFailedError."""
     try:
-        return as_sent(agent.step(tick.now_s, tick.inbox)).attitude_target
+        return round_outbox(agent.step(tick.now_s, tick.inbox)).attitude_target
     except Exception as error:
         raise _AgentFailedError(f"the agent fails at tick {tick.number}: {type(error).__name__}: {error}") from error
 

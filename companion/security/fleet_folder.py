@@ -55,7 +55,7 @@ def board_vehicle_file(text: str) -> str:
     changed = "".join(lines)
     if not has_identity:
         changed += ("" if changed.endswith("\n") else "\n") + f"{IDENTITY_LINE:<28} {COMMENT}\n"
-    if _content(changed) != _wanted(_content(text)):
+    if _content(changed) != _with_identity(_content(text)):
         raise BoardFileError(
             "cannot be changed line by line; write zenoh and identity as companion init does, each key in a line of its own"
         )
@@ -83,7 +83,7 @@ def _content(text: str) -> Any:
         raise BoardFileError("is not valid YAML") from error
 
 
-def _wanted(content: Any) -> Any:
+def _with_identity(content: Any) -> Any:
     if not isinstance(content, dict):
         raise BoardFileError("has no keys")
     zenoh = content.get("zenoh")

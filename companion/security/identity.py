@@ -307,7 +307,7 @@ def open_authority(folder: Path) -> Authority:
     return Authority(folder, certificate, read_admitted(folder / ADMITTED_FILE, certificate))
 
 
-def signed(authority: Authority, key: ec.EllipticCurvePrivateKey, admitted: Admitted) -> bytes:
+def sign_list(authority: Authority, key: ec.EllipticCurvePrivateKey, admitted: Admitted) -> bytes:
     """The file of a new list. Raises ConfigError for one that is too large."""
     try:
         return sign(admitted, key, authority.certificate)

@@ -49,7 +49,7 @@ from companion.security.identity import (
     new_folder,
     one_at_a_time,
     open_authority,
-    signed,
+    sign_list,
     write_file,
 )
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name
@@ -90,7 +90,7 @@ def issue(authority: Authority, names: Sequence[ParticipantName], days: int, now
     return issued
 
 
-def with_issued(admitted: Admitted, issued: Sequence[Issued]) -> tuple[AdmittedParticipant, ...]:
+def merge_issued(admitted: Admitted, issued: Sequence[Issued]) -> tuple[AdmittedParticipant, ...]:
     """The participants with the new entries in place of those with the same names, and the others at the end."""
     entries = {one.name: one for one in admitted.participants} | {one.entry.name: one.entry for one in issued}
     return tuple(entries.values())
@@ -104,7 +104,7 @@ def next_list(
 ) -> bytes:
     old = authority.admitted
     new = replace(old, number=old.number + 1, issued_at=now_in_seconds(now), participants=participants, revoked=revoked)
-    return signed(authority, authority.key(), new)
+    return sign_list(authority, authority.key(), new)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +136,7 @@ def provision_new(
         authority = _open_or_create(files, paths, now)
         names = _missing(files, wanted, default_ground, authority.admitted)
         if issued := issue(authority, names, days, now):
-            data = next_list(authority, with_issued(authority.admitted, issued), authority.admitted.revoked, now)
+            data = next_list(authority, merge_issued(authority.admitted, issued), authority.admitted.revoked, now)
             with _tidy_after_failure(paths, now):
                 _write_folders(paths, files, authority, issued)
                 authority = _publish(paths, data, now)
@@ -146,7 +146,7 @@ def provision_new(
     vehicles = {f"{ParticipantRole.VEHICLE}-{vehicle_id}" for vehicle_id in files.vehicle_files}
     admitted = map(parse_common_name, authority.admitted.names(ParticipantRole.VEHICLE))
     gone = [str(name) for name in admitted if name.participant not in vehicles]
-    removed = _removed(paths, map(parse_common_name, sorted(_participants(authority.admitted))))
+    removed = _find_removed(paths, map(parse_common_name, sorted(_participants(authority.admitted))))
     return Provisioned(paths, authority, _texts(issued), tuple(different), tuple(gone), removed)
 
 
@@ -156,10 +156,10 @@ def renew(folder: Path, names: Sequence[str] | None, days: int, now: datetime) -
     with one_at_a_time(folder):
         authority = _open(paths, now)
         chosen = _chosen(authority.admitted, names)
-        removed = _removed(paths, chosen)
+        removed = _find_removed(paths, chosen)
         files = read_fleet_files(folder) if removed else None
         issued = issue(authority, chosen, days, now)
-        data = next_list(authority, with_issued(authority.admitted, issued), authority.admitted.revoked, now)
+        data = next_list(authority, merge_issued(authority.admitted, issued), authority.admitted.revoked, now)
         for one in issued:
             _renew_folder(paths, authority, one, now)
             if files and one.name in removed:
@@ -267,7 +267,7 @@ def _participants(admitted: Admitted) -> set[str]:
     return {parse_common_name(one.name).participant for one in admitted.participants}
 
 
-def _removed(paths: FleetFolder, names: Iterable[ParticipantName]) -> tuple[ParticipantName, ...]:
+def _find_removed(paths: FleetFolder, names: Iterable[ParticipantName]) -> tuple[ParticipantName, ...]:
     """Those without a key in copy/."""
     return tuple(name for name in names if not (paths.copy_of(name) / IDENTITY / KEY_FILE).exists())
 

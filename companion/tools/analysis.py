@@ -30,7 +30,7 @@ from companion.analysis.margins import delay_margin_with_lag_s, string_gains, wo
 from companion.analysis.prediction import SETTLED_WITHIN_M, errors_over_time, settled_after_s, transient_peak
 from companion.analysis.response import Graph, LinearModel, reached_from, settled_prcs
 from companion.assembly import flyable_problems, law_of
-from companion.config.file import SET, convert, kind_of_file, overridden, read_as
+from companion.config.file import SET, convert, kind_of_file, override, read_as
 from companion.config.fleet import EdgeNeighbours, FleetConfig, LawName
 from companion.config.fleet_check import fleet_problems
 from companion.config.planned_flight import PlannedFlight, fleet_of, neighbour_graph, planned_problems, starts_of
@@ -151,7 +151,7 @@ def load_subject(path: Path, overrides: Sequence[str] = ()) -> Subject:
     subject = _subject(path, data)  # the file must be valid by itself, so that an error below is an override's
     if not overrides:
         return subject
-    data = overridden(data, overrides, "fleet.law.name=average_22, or law.name=average_22 in a fleet file")
+    data = override(data, overrides, "fleet.law.name=average_22, or law.name=average_22 in a fleet file")
     return structs.replace(_subject(SET, data), file=path, settings=tuple(overrides))
 
 
@@ -235,7 +235,7 @@ def _flying_positions(subject: Subject) -> dict[int, Vector3]:
 
 
 def _law_analysis(subject: Subject, graph: Graph, leaders: Collection[int], name: LawName) -> LawAnalysis:
-    law = law_of(subject.fleet.law.renamed(name))
+    law = law_of(subject.fleet.law.with_name(name))
     coupling = couple(graph, leaders, law)
     spectrum = eigenvalues(coupling.G)
     modes = [mode_figures(law.gains, float(value)) for value in mode_eigenvalues(coupling)]

@@ -65,7 +65,7 @@ def unseal(data: bytes) -> memoryview:
     return memoryview(data)[1:]
 
 
-def unsealed(decoder: msgspec.msgpack.Decoder[T], data: bytes, code: Code, what: str) -> T:
+def decode_sealed(decoder: msgspec.msgpack.Decoder[T], data: bytes, code: Code, what: str) -> T:
     """The decoded message, with all values within the bounds of their types.
 
     Raises WireError of this code. It names the place of the wrong value, never the value: that may be any text.
@@ -122,12 +122,12 @@ def encode(message: StatusReport | Command | CommandReply | TargetSample | Traff
 
 def decode_report(data: bytes) -> StatusReport:
     """Raises WireError."""
-    return unsealed(_report_decoder, data, Code.REPORT_MALFORMED, "status report")
+    return decode_sealed(_report_decoder, data, Code.REPORT_MALFORMED, "status report")
 
 
 def decode_command(data: bytes) -> Command:
     """Raises WireError."""
-    command = unsealed(_command_decoder, data, Code.COMMAND_MALFORMED, "command")
+    command = decode_sealed(_command_decoder, data, Code.COMMAND_MALFORMED, "command")
     wanted = CONTENT.get(command.name, type(None))
     if not isinstance(command.content, wanted):
         raise WireError(
@@ -143,7 +143,7 @@ def decode_command(data: bytes) -> Command:
 
 def decode_reply(data: bytes) -> CommandReply:
     """Raises WireError."""
-    return unsealed(_reply_decoder, data, Code.REPORT_MALFORMED, "command reply")
+    return decode_sealed(_reply_decoder, data, Code.REPORT_MALFORMED, "command reply")
 
 
 _target_decoder = msgspec.msgpack.Decoder(TargetSample)
@@ -151,7 +151,7 @@ _target_decoder = msgspec.msgpack.Decoder(TargetSample)
 
 def decode_target(data: bytes) -> TargetSample:
     """The target sample of a message. Checks only form and version; `Targets` checks the values. Raises WireError."""
-    return unsealed(_target_decoder, data, Code.TARGET_MALFORMED, "target sample")
+    return decode_sealed(_target_decoder, data, Code.TARGET_MALFORMED, "target sample")
 
 
 _traffic_decoder = msgspec.msgpack.Decoder(TrafficSample)
@@ -159,7 +159,7 @@ _traffic_decoder = msgspec.msgpack.Decoder(TrafficSample)
 
 def decode_traffic(data: bytes) -> TrafficSample:
     """The traffic sample of a message, every number within its bounds. Raises WireError."""
-    return unsealed(_traffic_decoder, data, Code.TRAFFIC_MALFORMED, "traffic sample")
+    return decode_sealed(_traffic_decoder, data, Code.TRAFFIC_MALFORMED, "traffic sample")
 
 
 _BeaconWire = tuple[VehicleId, Number, Number, float, Number, tuple[float, float, float] | None]
@@ -238,7 +238,7 @@ def _beacon_from(wire: _BeaconWire) -> LeaderBeacon:
 
 def decode_peer(data: bytes) -> PeerPacket:
     """The peer packet of a message. Checks form, version and sizes; `PeerTable` checks the values. Raises WireError."""
-    wire = unsealed(_peer_decoder, data, Code.PEER_MALFORMED, "peer packet")
+    wire = decode_sealed(_peer_decoder, data, Code.PEER_MALFORMED, "peer packet")
     beacon, error, held, change = wire.leader_beacon, wire.position_error, wire.reference, wire.change
     return PeerPacket(
         sender=Sender(wire.vehicle_id, wire.session, wire.sequence, wire.formation_hash),

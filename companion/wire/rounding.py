@@ -26,18 +26,18 @@ SHARE = 6  # of thrust
 SETPOINT = 6  # 1 urad, and 1e-6 of thrust
 
 
-def as_sent(outbox: Outbox) -> Outbox:
+def round_outbox(outbox: Outbox) -> Outbox:
     """The outbox with its setpoint, packet and status as they leave the vehicle. Requests, replies and events stay."""
     target, packet, status = outbox.attitude_target, outbox.peer_packet, outbox.status
     return replace(
         outbox,
-        attitude_target=target_as_sent(target) if target else None,
-        peer_packet=_packet_as_sent(packet) if packet else None,
-        status=_status_as_sent(status) if status else None,
+        attitude_target=round_target(target) if target else None,
+        peer_packet=_round_packet(packet) if packet else None,
+        status=_round_status(status) if status else None,
     )
 
 
-def target_as_sent(target: AttitudeTarget) -> AttitudeTarget:
+def round_target(target: AttitudeTarget) -> AttitudeTarget:
     """The setpoint as it is handed to the autopilot's link."""
     return AttitudeTarget(
         round(target.roll_rad, SETPOINT),
@@ -47,7 +47,7 @@ def target_as_sent(target: AttitudeTarget) -> AttitudeTarget:
     )
 
 
-def _packet_as_sent(packet: PeerPacket) -> PeerPacket:
+def _round_packet(packet: PeerPacket) -> PeerPacket:
     """What vehicles compare for equality is kept: numbers, and the slots of a change."""
     motion, beacon, error, rft = packet.motion, packet.leader.beacon, packet.position_error, packet.rft
     return replace(
@@ -66,7 +66,7 @@ def _packet_as_sent(packet: PeerPacket) -> PeerPacket:
     )
 
 
-def _status_as_sent(status: Status) -> Status:
+def _round_status(status: Status) -> Status:
     beacon, age_s, target_age_s = status.leader_beacon, status.leader_beacon_age_s, status.target_age_s
     reference_enu_m, error = status.reference_enu_m, status.position_error
     return replace(

@@ -25,7 +25,7 @@ from companion.types.status import Status
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import Vector3
 from companion.wire.messages import Percentiles, StatusReport, Timing
-from companion.wire.rounding import as_sent
+from companion.wire.rounding import round_outbox
 from sitl.autopilots.autopilot import DT_S, FlightMode
 from sitl.autopilots.types import AUTOPILOT_TYPES
 from sitl.flight.files import autopilot_file, ids_of, reached_stand_in, vehicle_file
@@ -265,7 +265,7 @@ class VirtualAgent:
         outbox = self._agent.report(decision)
         self._send(now_s, outbox)
         if self._recorder:
-            sent = as_sent(outbox)
+            sent = round_outbox(outbox)
             report = StatusReport(sent.status, NOT_TIMED) if sent.status else None
             self._recorder.tick(now_s, inbox, decision, sent, report, TimingRecord(now_s, 0, 0, 0, None))
 

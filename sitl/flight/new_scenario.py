@@ -8,8 +8,8 @@ from companion.assembly import flyable_problems
 from companion.config.new_formation import (
     NewFormation,
     PlannedFormation,
+    add_comment,
     check_choices,
-    commented,
     flight_time_s,
     inline,
     planned_formation,
@@ -39,7 +39,7 @@ def new_scenario(new: NewFormation, folder: Path) -> str:
 def scenario_text(new: NewFormation) -> str:
     """The whole file."""
     planned = planned_formation(new, flyable_problems)
-    fleet = [commented("vehicles:", "the slots are offsets from the reference: x east, y north, z up")]
+    fleet = [add_comment("vehicles:", "the slots are offsets from the reference: x east, y north, z up")]
     fleet += [*vehicle_lines(planned.fleet.vehicles), *settings_lines(planned, new)]
     lines = [
         f"description: {new.vehicles} vehicles, shape {new.shape}, {new.spacing_m:g} m apart, reference {new.reference}.",
@@ -49,8 +49,8 @@ def scenario_text(new: NewFormation) -> str:
         "# origin and starts_enu_m have defaults: a place in Zurich, and the ground below the slots at the reference's start.",
         f"reference: {inline(planned.reference)}",
         "stand_in:",
-        commented("  autopilot: px4", "or ardupilot"),
-        commented("  sensors: default", "or ideal, px4_sih"),
+        add_comment("  autopilot: px4", "or ardupilot"),
+        add_comment("  sensors: default", "or ideal, px4_sih"),
         "  # wind: {mean_enu_m_s: [3.0, 0.0, 0.0], gust_sd_m_s: 1.0}",
         *timeline_lines(planned),
     ]
@@ -60,7 +60,7 @@ def scenario_text(new: NewFormation) -> str:
 def timeline_lines(planned: PlannedFormation) -> list[str]:
     """The standard timeline, with enough time in formation for the whole reference."""
     return [
-        commented("timeline:", "for_s: time before the next command, once all have done this one"),
+        add_comment("timeline:", "for_s: time before the next command, once all have done this one"),
         "  - {command: prepare}",
         "  - {command: arm}",
         "  - {command: takeoff, for_s: 3.0}",

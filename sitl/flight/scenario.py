@@ -12,7 +12,7 @@ from msgspec import Meta, field
 from msgspec.structs import replace
 
 from companion.assembly import flyable_problems, trajectory_of
-from companion.config.file import SET, convert, overridden, read_as
+from companion.config.file import SET, convert, override, read_as
 from companion.config.fleet import FleetConfig, LawName
 from companion.config.fleet_check import checkable
 from companion.config.planned_flight import (
@@ -271,7 +271,7 @@ def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
     scenario = scenario_from(path, data)  # the file must be valid by itself, so that an error below is an override's
     if not overrides:
         return scenario
-    return scenario_from(SET, overridden(data, overrides, "fleet.law.name=average_22 or timeline[3].for_s=20"))
+    return scenario_from(SET, override(data, overrides, "fleet.law.name=average_22 or timeline[3].for_s=20"))
 
 
 def reference_of(scenario: Scenario) -> ReferenceTrajectory:
@@ -281,7 +281,7 @@ def reference_of(scenario: Scenario) -> ReferenceTrajectory:
 
 def with_law(scenario: Scenario, law: LawName) -> Scenario:
     """The same scenario under another law."""
-    return replace(scenario, fleet=replace(scenario.fleet, law=scenario.fleet.law.renamed(law)))
+    return replace(scenario, fleet=replace(scenario.fleet, law=scenario.fleet.law.with_name(law)))
 
 
 def scenario_from(path: Path, data: object) -> Scenario:

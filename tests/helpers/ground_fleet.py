@@ -27,7 +27,7 @@ from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.status import NearestVehicle, SeparationReport, Status
 from companion.types.tick import Outbox
 from companion.wire.messages import Percentiles, StatusReport, Timing
-from companion.wire.rounding import as_sent
+from companion.wire.rounding import round_outbox
 from sitl.flight.director import Director
 from sitl.flight.orders import FlightFailure
 from sitl.flight.scenario import TimelineStep
@@ -237,7 +237,7 @@ class DirectedVehicles:
             if time.monotonic() >= due_s:
                 del self._due[vehicle_id]
                 self._finish(vehicle_id, name)
-        sent = [as_sent(Outbox(status=status)).status for status in self.statuses.values()]
+        sent = [round_outbox(Outbox(status=status)).status for status in self.statuses.values()]
         return [
             StatusReport(status, DIRECTED_TIMING) for status in sent if status and status.vehicle_id not in self.mute
         ]

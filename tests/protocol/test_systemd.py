@@ -86,7 +86,7 @@ def test_the_watchdog_is_fed_a_few_times_per_its_period(tmp_path: Path, environm
     with service_manager(str(tmp_path / "notify")) as manager:
         speaker = notifier(manager, **environment)
         for cycle in range(500):
-            speaker.cycle_completed(cycle * 0.02, links_up=False)
+            speaker.complete_cycle(cycle * 0.02, links_up=False)
             manager.listen()  # the kernel keeps ten messages, not more
         assert abs(manager.listen().count("WATCHDOG=1") - fed) <= 3
         speaker.close()
@@ -104,10 +104,10 @@ def test_without_cycles_the_watchdog_is_not_fed(tmp_path: Path) -> None:
 def test_ready_is_sent_again_until_it_is_received(tmp_path: Path) -> None:
     address = str(tmp_path / "notify")
     speaker = Notifier({"NOTIFY_SOCKET": address})
-    speaker.cycle_completed(0.0, links_up=True)  # no receiver yet
+    speaker.complete_cycle(0.0, links_up=True)  # no receiver yet
     with service_manager(address) as manager:
-        speaker.cycle_completed(0.02, links_up=True)
-        speaker.cycle_completed(0.04, links_up=True)
+        speaker.complete_cycle(0.02, links_up=True)
+        speaker.complete_cycle(0.04, links_up=True)
         assert manager.listen() == ["READY=1"]
     speaker.close()
 

@@ -62,9 +62,9 @@ class PeerDatagrams:
         self._reject = reject
         self._published: bytes | None = None
         self._read_in_a_tick = READ_WITH_SEAL if seal else DATAGRAMS_PER_VEHICLE * len(self._fleet_ids)
-        self._receivers = [_resolved(endpoint) for endpoint in endpoints.send_to]
+        self._receivers = [_resolve(endpoint) for endpoint in endpoints.send_to]
         group = next((host for host, _ in self._receivers if ip_address(host).is_multicast), None)
-        self._socket = _opened(_resolved(endpoints.listen), group)
+        self._socket = _open_socket(_resolve(endpoints.listen), group)
 
     def receive(self, now_s: float) -> tuple[ReceivedPeerPacket, ...]:
         """All peer packets since the last call. Never blocks."""
@@ -79,7 +79,7 @@ class PeerDatagrams:
     def _packet(self, data: bytes) -> PeerPacket | None:
         if self.seal is None:
             return packet_of_fleet(data, self._fleet_ids, self._reject)
-        opened = self.seal.opened(data)
+        opened = self.seal.open_packet(data)
         if isinstance(opened, Code):
             self._reject(opened)
             return None
@@ -94,7 +94,7 @@ class PeerDatagrams:
         """Send the own peer packet to all receivers."""
         data = encode_peer(packet)
         if self.seal:
-            data = self.seal.sealed(data)
+            data = self.seal.seal_packet(data)
         self._published = data
         for address in self._receivers:
             with contextlib.suppress(OSError):  # a full buffer, no route or no listener: a lost packet
@@ -124,7 +124,7 @@ def packet_of_fleet(data: bytes, fleet_ids: Collection[int], reject: Callable[[s
     return packet
 
 
-def _opened(address: Address, group: str | None) -> socket.socket:
+def _open_socket(address: Address, group: str | None) -> socket.socket:
     """A bound socket, of a multicast group where there is one. Raises LinkError."""
     opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
@@ -144,7 +144,7 @@ def _opened(address: Address, group: str | None) -> socket.socket:
     return opened
 
 
-def _resolved(endpoint: str) -> Address:
+def _resolve(endpoint: str) -> Address:
     host, _, port = endpoint.rpartition(":")
     if not 0 < int(port) <= 65535:
         raise LinkError(f"port {port} does not exist, expected 1 to 65535")
@@ -176,13 +176,13 @@ class DatagramSeal:
         self.own_keys.pop(vehicle_id, None)
         self._keys.pop(vehicle_id, None)
 
-    def sealed(self, payload: bytes) -> bytes:
+    def seal_packet(self, payload: bytes) -> bytes:
         """The datagram of a peer packet."""
         signed = bytes((self._own_id,)) + payload
         tags = [bytes((i,)) + _tag(key, signed) for i, key in self.own_keys.items()]
         return b"".join((bytes((MARK, self._own_id, len(tags))), *tags, payload))
 
-    def opened(self, datagram: bytes) -> tuple[int, bytes] | Code:
+    def open_packet(self, datagram: bytes) -> tuple[int, bytes] | Code:
         """Sender and peer packet; for anything that this sender did not make for this vehicle the code of the rejection."""
         if len(datagram) < HEADER_BYTES or datagram[0] != MARK:
             return Code.PEER_NOT_AUTHENTICATED

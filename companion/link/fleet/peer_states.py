@@ -29,7 +29,7 @@ TAKEN_EARLY = 2  # messages of each vehicle before a tick; the rest of a flood w
 CHANGES_PER_TICK = 8  # of subscriptions: one takes 0.1 ms
 
 
-def samples_kept(vehicles: int) -> int:
+def samples_to_keep(vehicles: int) -> int:
     """How many messages wait for each vehicle of a fleet of this size."""
     return min(max(SAMPLES_KEPT // vehicles, LEAST_PER_VEHICLE), MOST_PER_VEHICLE)
 
@@ -42,14 +42,14 @@ class PeerStates:
     ) -> None:
         self._session, self._own_id, self._fleet_name, self._reject = session, vehicle_id, fleet.name, reject
         self._fleet_ids = frozenset(member.id for member in fleet.vehicles)
-        self._samples_kept = samples_kept(len(self._fleet_ids))
+        self._samples_kept = samples_to_keep(len(self._fleet_ids))
         # A channel for each vehicle: one that floods displaces no packet of the others.
-        self._at_50_hz = {member.id: self._subscribed(peer_key(fleet.name, member.id)) for member in fleet.vehicles}
+        self._at_50_hz = {member.id: self._subscribe(peer_key(fleet.name, member.id)) for member in fleet.vehicles}
         self._at_5_hz: dict[int, Any] = {}
         self._admitted = set(self._at_50_hz)
-        self._publisher = self._published(peer_key(fleet.name, vehicle_id))
+        self._publisher = self._declare_publisher(peer_key(fleet.name, vehicle_id))
         self._low_rate_publisher = (
-            self._published(distant_key(fleet.name, vehicle_id)) if fleet.has_distant_peers else None
+            self._declare_publisher(distant_key(fleet.name, vehicle_id)) if fleet.has_distant_peers else None
         )
 
     def publish(self, packet: PeerPacket) -> None:
@@ -62,13 +62,13 @@ class PeerStates:
 
     def receive_early(self) -> list[PeerPacket]:
         """A few of the packets that the next `receive` would return. Never blocks."""
-        return self._received(TAKEN_EARLY)
+        return self._receive(TAKEN_EARLY)
 
     def receive(self) -> list[PeerPacket]:
         """All packets since the last call. Never blocks."""
-        return self._received(self._samples_kept)
+        return self._receive(self._samples_kept)
 
-    def _received(self, most: int) -> list[PeerPacket]:
+    def _receive(self, most: int) -> list[PeerPacket]:
         """From at most so many messages of each vehicle."""
         packets: list[PeerPacket] = []
         for sender_id, channel in self._at_50_hz.items():
@@ -92,12 +92,12 @@ class PeerStates:
         changes = 0
         for peer_id in self._admitted.difference(distant_ids, self._at_50_hz):
             if changes < CHANGES_PER_TICK:
-                self._at_50_hz[peer_id] = self._subscribed(peer_key(self._fleet_name, peer_id))
+                self._at_50_hz[peer_id] = self._subscribe(peer_key(self._fleet_name, peer_id))
                 changes += 1
         for peer_id in self._admitted.intersection(distant_ids, self._at_50_hz):
             if changes < CHANGES_PER_TICK:
                 if peer_id not in self._at_5_hz:
-                    self._at_5_hz[peer_id] = self._subscribed(distant_key(self._fleet_name, peer_id))
+                    self._at_5_hz[peer_id] = self._subscribe(distant_key(self._fleet_name, peer_id))
                 self._at_50_hz.pop(peer_id).undeclare()
                 changes += 1
 
@@ -120,12 +120,12 @@ class PeerStates:
             return None
         return packet
 
-    def _subscribed(self, key: str) -> Any:
+    def _subscribe(self, key: str) -> Any:
         return self._session.declare_subscriber(
             key, zenoh.handlers.RingChannel(self._samples_kept), allowed_origin=zenoh.Locality.REMOTE
         )
 
-    def _published(self, key: str) -> zenoh.Publisher:
+    def _declare_publisher(self, key: str) -> zenoh.Publisher:
         return self._session.declare_publisher(
             key, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.REAL_TIME, express=True
         )

@@ -107,11 +107,11 @@ class ZenohLink:
     def _declare(self, vehicle_id: int, fleet: FleetConfig) -> None:
         self._peers = PeerStates(self._session, vehicle_id, fleet, self._reject)
         may_lead = any(member.id == vehicle_id and member.can_lead for member in fleet.vehicles)
-        self._targets = self._subscribed(target_key(fleet.name, ANY), TARGETS_KEPT) if may_lead else None
-        self._traffic = self._subscribed(traffic_key(fleet.name, ANY, ANY), TRAFFIC_KEPT)
-        self._commands = self._subscribed(command_key(fleet.name, vehicle_id, ANY), COMMANDS_KEPT)
-        self._aborts = self._subscribed(abort_key(fleet.name, vehicle_id, ANY), ABORT_SAMPLES_KEPT)
-        self._lists = self._subscribed(admission_key(fleet.name, ANY), LISTS_KEPT) if self._identity else None
+        self._targets = self._subscribe(target_key(fleet.name, ANY), TARGETS_KEPT) if may_lead else None
+        self._traffic = self._subscribe(traffic_key(fleet.name, ANY, ANY), TRAFFIC_KEPT)
+        self._commands = self._subscribe(command_key(fleet.name, vehicle_id, ANY), COMMANDS_KEPT)
+        self._aborts = self._subscribe(abort_key(fleet.name, vehicle_id, ANY), ABORT_SAMPLES_KEPT)
+        self._lists = self._subscribe(admission_key(fleet.name, ANY), LISTS_KEPT) if self._identity else None
         seal = self._datagrams.seal if self._datagrams else None
         self._pairing = Pairing(self._session, fleet.name, vehicle_id, seal) if seal else None
         self._reply_publisher = self._session.declare_publisher(
@@ -126,7 +126,7 @@ class ZenohLink:
             priority=zenoh.Priority.DATA,
         )
 
-    def _subscribed(self, key: str, kept: int) -> Any:
+    def _subscribe(self, key: str, kept: int) -> Any:
         """A subscriber whose channel keeps so many messages, the newest, until they are drained."""
         return self._session.declare_subscriber(key, zenoh.handlers.RingChannel(kept))
 
@@ -149,7 +149,7 @@ class ZenohLink:
             self._pairing.step(now_s)
         before_s, self._drained_s = self._drained_s, now_s
         late = before_s is not None and now_s - before_s > LONG_PAUSE_S
-        aborts = self._received_aborts()
+        aborts = self._receive_aborts()
         commands = (self._command(sample, late) for sample in drain(self._commands, COMMANDS_KEPT))
         early, self._early = self._early, []
         packets = [ReceivedPeerPacket(now_s, packet) for packet in self._peers.receive()]
@@ -190,7 +190,7 @@ class ZenohLink:
         """Publish and log the replies to the commands of the last `receive`."""
         for reply in replies:
             if command := self._unanswered.pop((reply.operator, reply.number), None):
-                self._log.answered(command, reply, time.monotonic())
+                self._log.log(command, reply, time.monotonic())
             self._reply_publisher.put(encode(reply))
 
     def admission_lists(self) -> Sequence[bytes]:
@@ -224,7 +224,7 @@ class ZenohLink:
 
     def _target(self, sample: zenoh.Sample, now_s: float) -> ReceivedTarget | None:
         name = str(sample.key_expr).rpartition("/")[2]
-        target = self._decoded(sample, decode_target, f"{ParticipantRole.TARGET}-{name}")
+        target = self._decode(sample, decode_target, f"{ParticipantRole.TARGET}-{name}")
         return ReceivedTarget(now_s, name, target) if target else None
 
     def _traffic_sample(self, sample: zenoh.Sample, now_s: float) -> ReceivedTraffic | None:
@@ -232,10 +232,10 @@ class ZenohLink:
         if not TRAFFIC_NAME.fullmatch(name):  # it appears in events and on terminals
             self._reject(Code.TRAFFIC_MALFORMED)
             return None
-        traffic = self._decoded(sample, decode_traffic, f"{ParticipantRole.TRAFFIC}-{source}")
+        traffic = self._decode(sample, decode_traffic, f"{ParticipantRole.TRAFFIC}-{source}")
         return ReceivedTraffic(now_s, name, traffic) if traffic else None
 
-    def _decoded(self, sample: zenoh.Sample, decode: Callable[[bytes], Message], sender: str = "") -> Message | None:
+    def _decode(self, sample: zenoh.Sample, decode: Callable[[bytes], Message], sender: str = "") -> Message | None:
         """The message; None, which is counted, where it is malformed or its sender is no longer admitted."""
         if sender in self._refused:
             self._reject(Code.NOT_ADMITTED)
@@ -246,7 +246,7 @@ class ZenohLink:
             self._reject(error.key)
             return None
 
-    def _received_aborts(self) -> list[Command]:
+    def _receive_aborts(self) -> list[Command]:
         """The first ABORTS_KEPT aborts on the abort key."""
         aborts: list[Command] = []
         for sample in drain(self._aborts, ABORT_SAMPLES_KEPT):
@@ -254,7 +254,7 @@ class ZenohLink:
                 continue  # the channel is emptied all the same
             if len(sample.payload) > LONGEST_ABORT or ABORT_TEXT not in sample.payload.to_bytes():
                 self._reject(Code.COMMAND_MALFORMED)
-            elif (command := self._decoded_command(sample, abort_key)) is not None:
+            elif (command := self._decode_command(sample, abort_key)) is not None:
                 if command.name is CommandName.ABORT:
                     self._note(command)
                     aborts.append(command)
@@ -262,9 +262,9 @@ class ZenohLink:
                     self._reject(Code.COMMAND_MALFORMED)
         return aborts
 
-    def _decoded_command(self, sample: zenoh.Sample, key: Callable[[str, int, str], str]) -> Command | None:
+    def _decode_command(self, sample: zenoh.Sample, key: Callable[[str, int, str], str]) -> Command | None:
         """The command; None for one that is malformed, or under the key of another operator than it names."""
-        command = self._decoded(sample, decode_command)
+        command = self._decode(sample, decode_command)
         if command is None:
             return None
         if str(sample.key_expr) != key(self._fleet_name, self._vehicle_id, command.operator):
@@ -283,7 +283,7 @@ class ZenohLink:
 
     def _command(self, sample: zenoh.Sample, late: bool) -> Command | None:
         """The command in a message; None where it is malformed, and where it comes late, which is answered here."""
-        if (command := self._decoded_command(sample, command_key)) is None:
+        if (command := self._decode_command(sample, command_key)) is None:
             return None
         self._note(command)
         if late and command.name not in ACCEPTED_LATE:

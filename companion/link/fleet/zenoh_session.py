@@ -96,7 +96,7 @@ def open_session(listen: Sequence[str], connect: Sequence[str], identity: Identi
     os.environ.setdefault("ZENOH_RUNTIME", THREADS)  # there is no other way; Zenoh reads it at the first session
     zenoh.init_log_from_env_or("off")  # errors are reported here, in one line
     config = zenoh.Config()
-    for path, value in {**SETTINGS, **(_secured(identity) if identity else {})}.items():
+    for path, value in {**SETTINGS, **(_security_settings(identity) if identity else {})}.items():
         config.insert_json5(path, json.dumps(value))
     config.insert_json5("listen/endpoints", json.dumps(list(listen)))
     config.insert_json5("connect/endpoints", json.dumps(list(connect)))
@@ -106,7 +106,7 @@ def open_session(listen: Sequence[str], connect: Sequence[str], identity: Identi
         raise _explain(str(error), listen, connect) from error
 
 
-def _secured(identity: Identity) -> dict[str, Any]:
+def _security_settings(identity: Identity) -> dict[str, Any]:
     """Zenoh's settings for mutual TLS, over TCP or QUIC, and its access control."""
     key, certificate = str(identity.key_file), str(identity.certificate_file)
     return {
@@ -197,8 +197,8 @@ def access_control(own: ParticipantName, fleet: str, admitted: Iterable[Particip
         if other == own:
             continue
         # A sample flows against the direction of the subscription that asks for it.
-        received, wanted = published(other, own, fleet)
-        sent, asked = published(own, other, fleet)
+        received, wanted = keys_between(other, own, fleet)
+        sent, asked = keys_between(own, other, fleet)
         made = [
             _rule(f"{other}: {name}", message, flow, keys)
             for name, message, flow, keys in (
@@ -216,7 +216,7 @@ def access_control(own: ParticipantName, fleet: str, admitted: Iterable[Particip
     return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}
 
 
-def published(sender: ParticipantName, receiver: ParticipantName, fleet: str) -> tuple[Keys, Keys]:
+def keys_between(sender: ParticipantName, receiver: ParticipantName, fleet: str) -> tuple[Keys, Keys]:
     """Keys that the sender publishes to the receiver, and the key expressions with which the receiver subscribes to them."""
     if sender.role is ParticipantRole.VEHICLE:
         i = int(sender.id)

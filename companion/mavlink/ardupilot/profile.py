@@ -38,7 +38,7 @@ P, M, C = FlightPhase, AutopilotMode, CommandName
 THRUST_IS_THRUST = 8  # bit 3 of GUID_OPTIONS
 
 
-def _guided(_vehicle: VehicleState, _height_m: float) -> Procedure:
+def _enter_guided(_vehicle: VehicleState, _height_m: float) -> Procedure:
     # ArduCopter enters GUIDED without a stream, and keeps its position there until the first setpoint.
     taken = mode_is(M.OFFBOARD)
     return Procedure(SetMode(M.OFFBOARD), taken, taken, mode_time_s, timeout_s=5.0)
@@ -128,10 +128,10 @@ PROFILE = AutopilotProfile(
         P.RETURN: frozenset({M.RETURN}),
     },
     procedures={
-        C.PREPARE: _guided,
+        C.PREPARE: _enter_guided,
         C.ARM: arm,
         C.TAKEOFF: _take_off_in_guided,
-        C.FORM: _guided,
+        C.FORM: _enter_guided,
         C.HOLD: hold,
         C.LAND: land,
         C.RETURN: return_home,

@@ -38,7 +38,7 @@ STREAM_BEFORE_OFFBOARD_S = 0.3  # PX4 takes OFFBOARD only from a running stream
 OVERRIDE_IN_OFFBOARD = 2  # bit 1 of COM_RC_OVERRIDE
 
 
-def _offboard(_vehicle: VehicleState, _height_m: float) -> Procedure:
+def _enter_offboard(_vehicle: VehicleState, _height_m: float) -> Procedure:
     taken = mode_is(M.OFFBOARD)
     return Procedure(SetMode(M.OFFBOARD), taken, taken, mode_time_s, timeout_s=5.0, delay_s=STREAM_BEFORE_OFFBOARD_S)
 
@@ -161,7 +161,7 @@ PROFILE = AutopilotProfile(
         C.PREPARE: hold,
         C.ARM: arm,
         C.TAKEOFF: _take_off,
-        C.FORM: _offboard,
+        C.FORM: _enter_offboard,
         C.HOLD: hold,
         C.LAND: land,
         C.RETURN: return_home,

@@ -28,7 +28,7 @@ import msgspec
 import zenoh
 from msgspec.structs import replace
 
-from companion.link.fleet.peer_states import samples_kept
+from companion.link.fleet.peer_states import samples_to_keep
 from companion.link.fleet.zenoh_session import SETTINGS, THREADS, drain
 from companion.link.tick import PERIOD_S
 from companion.types.peers import PeerPacket
@@ -88,7 +88,7 @@ class PeerLink:
         self._slow = session.declare_publisher(
             distant_key(FLEET, own_id), congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA
         )
-        self._samples_kept = samples_kept(1 + len({*full_ids, *slow_ids}))
+        self._samples_kept = samples_to_keep(1 + len({*full_ids, *slow_ids}))
         self._channels = [self.subscribed(peer_key(FLEET, i)) for i in full_ids]
         self._channels += [self.subscribed(distant_key(FLEET, i)) for i in slow_ids]
 

@@ -12,7 +12,7 @@ from companion.geometry.formations import SHAPES, rotated, slots_of
 from companion.ground.changes import assigned, change_to, refusal_of
 from companion.types.formation import FlownSlot
 from companion.types.tick import Outbox
-from companion.wire.rounding import as_sent
+from companion.wire.rounding import round_outbox
 from ground_fleet import reported
 
 SPACING_M = 2.0
@@ -26,7 +26,7 @@ def test_vehicles_accept_at_the_largest_speed_what_was_computed_from_their_repor
 ) -> None:
     ids = range(1, count + 1)
     flown = dict(zip(ids, slots_of(SHAPES[before], count, SPACING_M, radians(before_deg)), strict=True))
-    sent = [as_sent(Outbox(status=reported(i, slot=FlownSlot(flown[i])))).status for i in ids]
+    sent = [round_outbox(Outbox(status=reported(i, slot=FlownSlot(flown[i])))).status for i in ids]
     statuses = [status for status in sent if status]
     told = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
     change = change_to(
@@ -42,6 +42,6 @@ def test_reported_slots_at_the_least_distance_may_be_turned(
 ) -> None:
     ids = range(1, count + 1)
     flown = dict(zip(ids, slots_of(SHAPES[shape], count, SPACING_M, radians(before_deg)), strict=True))
-    sent = [as_sent(Outbox(status=reported(i, slot=FlownSlot(flown[i])))).status for i in ids]
+    sent = [round_outbox(Outbox(status=reported(i, slot=FlownSlot(flown[i])))).status for i in ids]
     turned = {s.vehicle_id: rotated(s.slot.position_enu_m, radians(by_deg), 1.0) for s in sent if s}
     assert refusal_of(turned, SPACING_M, has_height=True) is None

@@ -50,7 +50,7 @@ STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "setpoint encoded": lambda flight: (flight.translator, "attitude_target"),
     "request encoded": lambda flight: (flight.translator, "request"),
     "setpoint sent": lambda flight: (flight.link, "command"),
-    "latency measured": lambda flight: (flight.loop._meter, "command_sent"),
+    "latency measured": lambda flight: (flight.loop._meter, "add_command"),
     "request sent": lambda flight: (flight.link, "request"),
     "late ticks logged": lambda flight: (flight.loop._late, "cycle"),
     "tick measured": lambda flight: (flight.loop._meter, "tick"),
@@ -65,8 +65,8 @@ STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "status published": lambda flight: (flight.peers, "publish_status"),
     "status line": lambda flight: (flight.loop._notifier, "status"),
     "rejections logged": lambda flight: (flight.loop._rejections, "update"),
-    "event logged": lambda flight: (flight.loop._events, "happened"),
-    "watchdog fed": lambda flight: (flight.loop._notifier, "cycle_completed"),
+    "event logged": lambda flight: (flight.loop._events, "log"),
+    "watchdog fed": lambda flight: (flight.loop._notifier, "complete_cycle"),
 }
 SETPOINT_FAILS = ("setpoint encoded", "setpoint sent")
 REQUEST_FAILS = ("request encoded", "request sent")

@@ -64,8 +64,8 @@ def handler_to(address: str, descriptor: int = 2, phase: Callable[[], str] = lam
 def test_an_event_can_be_found_by_code_vehicle_and_phase(journal: socket.socket, logger: logging.Logger) -> None:
     phases = iter(["formation", "hold"])
     logger.addHandler(handler_to(journal.getsockname(), phase=lambda: next(phases)))
-    AgentEventLog().happened(Notice(Code.LEADER_LOST, "no fresh leader beacon"), 100.0)
-    AgentEventLog().happened(Notice(Code.PHASE_CHANGED, "formation -> hold"), 100.0)
+    AgentEventLog().log(Notice(Code.LEADER_LOST, "no fresh leader beacon"), 100.0)
+    AgentEventLog().log(Notice(Code.PHASE_CHANGED, "formation -> hold"), 100.0)
     assert fields(journal.recv(65536)) == {
         "MESSAGE": "vehicle 3: LEADER_LOST: no fresh leader beacon",
         "PRIORITY": "4",
@@ -81,7 +81,7 @@ def test_an_event_can_be_found_by_code_vehicle_and_phase(journal: socket.socket,
 def test_commands_and_rejections_have_their_codes(journal: socket.socket, logger: logging.Logger) -> None:
     logger.addHandler(handler_to(journal.getsockname()))
     command = Command(CommandName.ARM, 12, "anna@ground", 7)
-    CommandLog().answered(command, CommandReply(1, 12, False, Code.COMMAND_OLD, "old", "anna@ground"), 100.0)
+    CommandLog().log(command, CommandReply(1, 12, False, Code.COMMAND_OLD, "old", "anna@ground"), 100.0)
     RejectionLog().update({"WIRE_VERSION_DIFFERS 9": 5}, 100.0)
     assert fields(journal.recv(65536))["COMPANION_CODE"] == "COMMAND_OLD"
     assert fields(journal.recv(65536))["COMPANION_CODE"] == "WIRE_VERSION_DIFFERS"

@@ -98,7 +98,7 @@ def test_timing_is_reset_at_the_start_of_formation() -> None:
     meter.phase_after_tick(FlightPhase.FORMATION, 1.0)
     for n in range(1, 51):
         meter.tick(1.0 + n * PERIOD_S)
-        meter.command_sent(1.0 + n * PERIOD_S - 0.0005, 1.0 + n * PERIOD_S)
+        meter.add_command(1.0 + n * PERIOD_S - 0.0005, 1.0 + n * PERIOD_S)
         meter.phase_after_tick(FlightPhase.FORMATION, 1.0 + n * PERIOD_S)
     in_formation = meter.timing(2.0)
     assert (in_formation.ticks, in_formation.missed) == (50, 0)
@@ -108,7 +108,7 @@ def test_timing_is_reset_at_the_start_of_formation() -> None:
     meter.phase_after_tick(FlightPhase.RELEASE, 2.02)
     ended = meter.timing(2.02)
     ticks(meter, [5.0, 9.0])  # landing is another matter
-    meter.command_sent(0.0, 9.0)
+    meter.add_command(0.0, 9.0)
     meter.phase_after_tick(FlightPhase.LAND, 9.0)
     assert meter.timing(9.0) == ended
     assert ended.ticks == 51

@@ -24,9 +24,9 @@ def test_each_command_is_logged_and_a_flood_is_counted(caplog: pytest.LogCapture
     log, command = CommandLog(), Command(CommandName.ARM, 12, "anna@ground", 7)
     with caplog.at_level(logging.INFO):
         for _ in range(BURST + 30):
-            log.answered(command, CommandReply(1, 12, False, Code.COMMAND_OLD, "old command", "anna@ground"), 100.5)
-        log.answered(command, CommandReply(1, 12, True, Code.PHASE_CHANGED, "arm", "anna@ground"), 100.6)
-        log.answered(command, CommandReply(1, 12, False, Code.COMMAND_OLD, "old command", "anna@ground"), 102.0)
+            log.log(command, CommandReply(1, 12, False, Code.COMMAND_OLD, "old command", "anna@ground"), 100.5)
+        log.log(command, CommandReply(1, 12, True, Code.PHASE_CHANGED, "arm", "anna@ground"), 100.6)
+        log.log(command, CommandReply(1, 12, False, Code.COMMAND_OLD, "old command", "anna@ground"), 102.0)
     assert lines(caplog)[0] == "command arm, number 12 of anna@ground: refused, COMMAND_OLD: old command"
     assert lines(caplog)[BURST:] == [
         "command arm, number 12 of anna@ground: accepted, PHASE_CHANGED: arm",
@@ -39,8 +39,8 @@ def test_a_flood_of_takes_is_a_few_lines(caplog: pytest.LogCaptureFixture) -> No
     with caplog.at_level(logging.INFO):
         for tick in range(14 * 50):
             now_s = 100.0 + 0.02 * tick
-            events.happened(Notice(Code.COMMAND_TAKEN, "mallory@hill takes command from anna@ground"), now_s)
-            commands.answered(
+            events.log(Notice(Code.COMMAND_TAKEN, "mallory@hill takes command from anna@ground"), now_s)
+            commands.log(
                 TAKE, CommandReply(1, 12, True, Code.COMMAND_TAKEN, "mallory@hill takes command", "anna@ground"), now_s
             )
     assert sum(map(len, lines(caplog))) < 10_000

@@ -9,7 +9,7 @@ import pytest
 from companion.recording.codec import decode_inbox, decode_outbox, encode_inbox, encode_outbox
 from companion.types.commands import CommandName
 from companion.types.tick import Inbox, Outbox
-from companion.wire.rounding import as_sent
+from companion.wire.rounding import round_outbox
 from tests.fuzz.fleet import HostileFleet
 from tests.fuzz.stream import HostileStream
 
@@ -25,7 +25,7 @@ def test_what_comes_of_a_hostile_stream_is_recorded_exactly(seed: int) -> None:
 
         def recorded(now_s: float, inbox: Inbox, step: object = step) -> Outbox:
             outbox: Outbox = step(now_s, inbox)  # type: ignore[operator]
-            taken.append((now_s, inbox, as_sent(outbox)))
+            taken.append((now_s, inbox, round_outbox(outbox)))
             return outbox
 
         agent.step = recorded  # type: ignore[method-assign]

@@ -24,7 +24,7 @@ from companion.types.commands import Command, CommandName, ReferenceChange
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.tick import Inbox, Outbox
-from companion.wire.rounding import as_sent
+from companion.wire.rounding import round_outbox
 from one_agent import BEGAN_UNIX_S, Disk, recorder, until
 
 P = FlightPhase
@@ -51,7 +51,7 @@ def test_every_tick_is_recorded_exactly(tmp_path: Path) -> None:
     def deciding(now_s: float, inbox: Inbox):  # type: ignore[no-untyped-def]
         decision = decide(now_s, inbox)
         decided.append(encode(decision_record(decision, cooperative())))
-        taken.append((now_s, inbox, as_sent(report(decision))))
+        taken.append((now_s, inbox, round_outbox(report(decision))))
         return decision
 
     flight.agent.decide = deciding  # type: ignore[method-assign]

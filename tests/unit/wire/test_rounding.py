@@ -15,7 +15,7 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference, LeaderBeacon
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.tick import Outbox
-from companion.wire.rounding import as_sent, target_as_sent
+from companion.wire.rounding import round_outbox, round_target
 
 numbers = st.floats(-1e5, 1e5)
 vectors = st.tuples(numbers, numbers, numbers)
@@ -37,7 +37,7 @@ PACKET = PeerPacket(
 
 
 def sent(**values: object) -> PeerPacket:
-    packet = as_sent(Outbox(peer_packet=with_fields(PACKET, **values))).peer_packet
+    packet = round_outbox(Outbox(peer_packet=with_fields(PACKET, **values))).peer_packet
     assert packet is not None
     return packet
 
@@ -55,10 +55,10 @@ def test_rounding_changes_less_than_any_sensor_resolves(position, velocity, acce
 
 @given(vectors, vectors, numbers)
 def test_what_was_rounded_stays_as_it_is(position, velocity, time_s) -> None:  # type: ignore[no-untyped-def]
-    outbox = as_sent(
+    outbox = round_outbox(
         Outbox(peer_packet=with_fields(PACKET, position_enu_m=position, rft=(velocity,) * 3, sent_s=time_s))
     )
-    assert as_sent(outbox) == outbox
+    assert round_outbox(outbox) == outbox
 
 
 def test_numbers_that_are_not_finite_stay() -> None:
@@ -80,6 +80,6 @@ angles = st.floats(-pi, pi)
 @given(angles, angles, angles, st.floats(0.0, 1.0))
 def test_a_setpoint_is_rounded_to_a_microradian(roll: float, pitch: float, yaw: float, thrust: float) -> None:
     wanted = AttitudeTarget(roll, pitch, yaw, thrust)
-    target = as_sent(Outbox(attitude_target=wanted)).attitude_target
-    assert target == target_as_sent(wanted)
+    target = round_outbox(Outbox(attitude_target=wanted)).attitude_target
+    assert target == round_target(wanted)
     assert astuple(target) == pytest.approx(astuple(wanted), rel=0.0, abs=0.5001e-6)

@@ -6,7 +6,7 @@ from itertools import product
 
 import pytest
 
-from companion.link.fleet.zenoh_session import access_control, published
+from companion.link.fleet.zenoh_session import access_control, keys_between
 from companion.security.names import ParticipantName, parse_common_name
 
 NAMES = (
@@ -16,7 +16,7 @@ PARTICIPANTS = tuple(map(parse_common_name, NAMES))
 
 
 def keys(sender: str, receiver: str) -> set[str]:
-    samples, _ = published(parse_common_name(sender), parse_common_name(receiver), "f")
+    samples, _ = keys_between(parse_common_name(sender), parse_common_name(receiver), "f")
     return {key.removeprefix("formation/f/") for key in samples}
 
 

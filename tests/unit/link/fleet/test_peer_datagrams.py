@@ -198,8 +198,8 @@ def seals() -> tuple[DatagramSeal, DatagramSeal, DatagramSeal]:
 
 def test_a_sealed_packet_is_opened_by_every_receiver() -> None:
     first, second, third = seals()
-    datagram = first.sealed(b"packet")
-    assert second.opened(datagram) == third.opened(datagram) == (1, b"packet")
+    datagram = first.seal_packet(b"packet")
+    assert second.open_packet(datagram) == third.open_packet(datagram) == (1, b"packet")
 
 
 def test_a_receiver_cannot_speak_for_the_sender() -> None:
@@ -207,33 +207,33 @@ def test_a_receiver_cannot_speak_for_the_sender() -> None:
     first, second, third = seals()
     forged = DatagramSeal(1, (1, 2, 3))
     forged.own_keys.update(dict.fromkeys((2, 3), first.own_keys[2]))
-    assert second.opened(forged.sealed(b"packet")) == (1, b"packet")
-    assert third.opened(forged.sealed(b"packet")) is Code.PEER_NOT_AUTHENTICATED
+    assert second.open_packet(forged.seal_packet(b"packet")) == (1, b"packet")
+    assert third.open_packet(forged.seal_packet(b"packet")) is Code.PEER_NOT_AUTHENTICATED
 
 
 def test_a_sender_cannot_speak_for_another_one() -> None:
     _, second, third = seals()
-    datagram = bytearray(second.sealed(b"packet"))
+    datagram = bytearray(second.seal_packet(b"packet"))
     datagram[1] = 1
-    assert third.opened(bytes(datagram)) is Code.PEER_NOT_AUTHENTICATED
+    assert third.open_packet(bytes(datagram)) is Code.PEER_NOT_AUTHENTICATED
 
 
 @given(place=st.integers(0, 200), change=st.integers(1, 255))
 def test_every_changed_byte_that_counts_is_noticed(place: int, change: int) -> None:
     first, second, _ = seals()
-    datagram = bytearray(first.sealed(b"packet of some length"))
+    datagram = bytearray(first.seal_packet(b"packet of some length"))
     place %= len(datagram)
     datagram[place] ^= change
     tag_of_third = range(HEADER_BYTES + 9, HEADER_BYTES + 18)
-    opened = second.opened(bytes(datagram))
+    opened = second.open_packet(bytes(datagram))
     assert opened is Code.PEER_NOT_AUTHENTICATED or (place in tag_of_third and opened == (1, b"packet of some length"))
 
 
 @given(st.binary(max_size=300))
 def test_whatever_arrives_is_opened_or_refused(data: bytes) -> None:
     _, second, _ = seals()
-    assert second.opened(data) is Code.PEER_NOT_AUTHENTICATED
-    assert second.opened(bytes((MARK,)) + data) is Code.PEER_NOT_AUTHENTICATED
+    assert second.open_packet(data) is Code.PEER_NOT_AUTHENTICATED
+    assert second.open_packet(bytes((MARK,)) + data) is Code.PEER_NOT_AUTHENTICATED
 
 
 def test_keys_of_strangers_and_of_wrong_length_are_not_learned() -> None:
@@ -241,11 +241,11 @@ def test_keys_of_strangers_and_of_wrong_length_are_not_learned() -> None:
     for sender_id, key in ((9, b"k" * 32), (2, b"k"), (1, b"k" * 32)):
         seal.learn(sender_id, key)
     other = DatagramSeal(2, (1, 2))
-    assert seal.opened(other.sealed(b"packet")) is Code.PEER_NOT_AUTHENTICATED
+    assert seal.open_packet(other.seal_packet(b"packet")) is Code.PEER_NOT_AUTHENTICATED
     seal.learn(2, other.own_keys[1])
-    assert seal.opened(other.sealed(b"packet")) == (2, b"packet")
+    assert seal.open_packet(other.seal_packet(b"packet")) == (2, b"packet")
     seal.forget(2)
-    assert seal.opened(other.sealed(b"packet")) is Code.PEER_NOT_AUTHENTICATED
+    assert seal.open_packet(other.seal_packet(b"packet")) is Code.PEER_NOT_AUTHENTICATED
 
 
 def test_packets_without_a_tag_are_counted_and_displace_none() -> None:
