@@ -44,6 +44,22 @@ class Changed(Struct, frozen=True, gc=False):
 NOTHING_CHANGED = Changed()
 
 
+class Situation(Struct, frozen=True, gc=False):
+    """What changes are judged by in this tick. `slot` is the one flown in the last tick."""
+
+    now_s: float
+    vehicle: VehicleState
+    flight: Flight
+    consensus: Consensus
+    slot: FlownSlot
+
+    @property
+    def fleet_enu_m(self) -> Vector3:
+        """r of the fleet, derived from this vehicle's own position and slot."""
+        vehicle = self.vehicle
+        return formation_state(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self.slot).position_enu_m
+
+
 class Changes:
     """Applies changes to the slot plan and the reference plan of one vehicle."""
 
@@ -62,22 +78,13 @@ class Changes:
         self._last_heard_id = 0  # the leader whose change was judged last
         self._next_heard_s = -inf
         self._proposal: Proposal | None = None  # that is being checked
-        self.is_idle = (
-            gap_filling is None
-        )  # nothing is under way: without a command or a change of a leader no step is needed
+        # Nothing is under way: without a command or a change of a leader no step is needed.
+        self.is_idle = gap_filling is None
 
-    def step(
-        self,
-        now_s: float,
-        vehicle: VehicleState,
-        flight: Flight,
-        consensus: Consensus,
-        slot: FlownSlot,
-        commands: Collection[Command],
-    ) -> Changed:
+    def step(self, now: Situation, commands: Collection[Command]) -> Changed:
         """Apply commands first, then changes of leaders, then this vehicle's own proposal.
 
-        `slot` is the one flown in the last tick. The answer to a command may come ticks later.
+        The answer to a command may come ticks later.
         """
         self._checks.begin_tick()
         answers = []
@@ -90,39 +97,30 @@ class Changes:
                 text = f"{command.name}: other changes are being checked; give it again"
                 answers.append((command.number, refuse(Code.CHANGE_IN_PROGRESS, text)))
         if self._queue:
-            answer = self._judged(self._queue[0].content, vehicle, flight, consensus, slot)
+            answer = self._judge(self._queue[0].content, now)
             if answer is not BEING_CHECKED:
                 answers.append((self._queue.pop(0).number, answer))
-        events = self._adopt(now_s, vehicle, flight, consensus, slot)
+        events = self._adopt(now)
         if self._gap_filling:
-            events += self._fill_gap(self._gap_filling, now_s, vehicle, flight, consensus, slot)
+            events += self._fill_gap(self._gap_filling, now)
         else:
             self.is_idle = not self._queue and self._heard is None and self._checks.is_idle
         return Changed(tuple(answers), events)
 
-    def _judged(
-        self, content: Content | None, vehicle: VehicleState, flight: Flight, consensus: Consensus, slot: FlownSlot
-    ) -> Answer:
+    def _judge(self, content: Content | None, now: Situation) -> Answer:
         if isinstance(content, FormationChange):
-            return self._change_formation(content, vehicle, flight, consensus, slot, is_command=True)
+            return self._change_formation(content, now, is_command=True)
         assert isinstance(content, ReferenceChange)
-        return self._change_reference(content, vehicle, flight, consensus, slot)
+        return self._change_reference(content, now)
 
-    def _change_formation(
-        self,
-        change: FormationChange,
-        vehicle: VehicleState,
-        flight: Flight,
-        consensus: Consensus,
-        slot: FlownSlot,
-        is_command: bool = False,
-    ) -> Answer:
+    def _change_formation(self, change: FormationChange, now: Situation, is_command: bool = False) -> Answer:
         def check(airspace: Steps[Notice | None]) -> Notice | Pending | None:
             key = (change, flight.on_ground, flown_slots, self._references and self._references.flown_count)
             return self._checks.ask(key, lambda: self._expensive_refusal(change, airspace, consensus))
 
+        flight, consensus = now.flight, now.consensus
         flown_slots = tuple(sorted(self._slots.slots_enu_m.items()))
-        rft_enu_m = self._rft_enu_m(vehicle, flight, consensus, slot)
+        rft_enu_m = self._rft_enu_m(now)
         if flight.on_ground:
             return self._slots.change_on_ground(change, consensus.peers.flying, rft_enu_m, is_command, check)
         in_formation = [other for other in consensus.peers.flying if other.phase is FORMATION]
@@ -131,7 +129,7 @@ class Changes:
         answer = self._slots.change(change, consensus.lead.reference_s, others, rft_enu_m, is_command, check)
         if answer.notice.code is not Code.FORMATION_ACCEPTED or alone:
             return answer
-        tracks = self._tracks_of_change(change, consensus, _fleet_enu_m(vehicle, slot))
+        tracks = self._tracks_of_change(change, consensus, now.fleet_enu_m)
         if refusal := self._in_the_way(tracks, consensus):
             self._slots.withdraw()
             return Answer(False, refusal.about("formation"))
@@ -167,19 +165,17 @@ class Changes:
         reason = yield from self._references.refusal_of_slots(dict(change.slots_enu_m))
         return None if reason is None else Notice(Code.SLOTS_NOT_FOLLOWED, reason)
 
-    def _change_reference(
-        self, change: ReferenceChange, vehicle: VehicleState, flight: Flight, consensus: Consensus, slot: FlownSlot
-    ) -> Answer:
+    def _change_reference(self, change: ReferenceChange, now: Situation) -> Answer:
         if self._references is None:
             text = "reference: this vehicle may not lead and has no reference"
             return refuse(Code.REFERENCE_NOT_ALLOWED, text)
-        fleet_enu_m, slots_enu_m = _fleet_enu_m(vehicle, slot), self._slots.slots_enu_m
+        flight, consensus, slots_enu_m = now.flight, now.consensus, self._slots.slots_enu_m
         answer = self._references.change(
             change,
             consensus.lead.reference_s,
             slots_enu_m,
             consensus.peers.flying,
-            fleet_enu_m,
+            now.fleet_enu_m,
             flight.in_formation,
             self._checks,
         )
@@ -193,35 +189,33 @@ class Changes:
             return Answer(False, refusal.about("reference"))
         return answer
 
-    def _rft_enu_m(self, vehicle: VehicleState, flight: Flight, consensus: Consensus, slot: FlownSlot) -> list[Vector3]:
+    def _rft_enu_m(self, now: Situation) -> list[Vector3]:
         """Positions of the RFT as far as this vehicle knows them: all of its reference plan, or where the fleet is now."""
         if self._references:
-            return self._references.positions_enu_m(consensus.lead.reference_s)
-        return [_fleet_enu_m(vehicle, slot)] if flight.phase is FORMATION else []
+            return self._references.positions_enu_m(now.consensus.lead.reference_s)
+        return [now.fleet_enu_m] if now.flight.phase is FORMATION else []
 
-    def _adopt(
-        self, now_s: float, vehicle: VehicleState, flight: Flight, consensus: Consensus, slot: FlownSlot
-    ) -> tuple[Notice, ...]:
+    def _adopt(self, now: Situation) -> tuple[Notice, ...]:
         """Apply the changes of leaders like commands; of two different ones, that of the smallest leader id.
 
         One change is judged at a time, and the leaders take turns: a leader may send another change in every packet.
         """
-        changes = passed_on(consensus.peers.flying, consensus.lead.term, flight.on_ground)
+        changes = passed_on(now.consensus.peers.flying, now.consensus.lead.term, now.flight.on_ground)
         if not changes:
             self._heard = None
             return ()
-        first_id = self._first_leader(flight, consensus)
+        first_id = self._first_leader(now)
         of_first = [one for one in changes if one[0] == first_id]
         lacked = [one for one in of_first or changes if self._slots.lacks(one[1], over_own=one[0] == first_id)]
         heard = self._heard if self._heard in lacked else None
         if heard is None:
-            if not lacked or now_s < self._next_heard_s:
+            if not lacked or now.now_s < self._next_heard_s:
                 self._heard = None
                 return ()
             heard = next((one for one in lacked if one[0] > self._last_heard_id), lacked[0])
-            self._last_heard_id, self._next_heard_s = heard[0], now_s + HEARD_PERIOD_S
+            self._last_heard_id, self._next_heard_s = heard[0], now.now_s + HEARD_PERIOD_S
         vehicle_id, change = heard
-        answer = self._change_formation(change, vehicle, flight, consensus, slot)
+        answer = self._change_formation(change, now)
         self._heard = heard if answer is BEING_CHECKED else None
         if answer is BEING_CHECKED:
             return ()
@@ -229,26 +223,19 @@ class Changes:
         self._refused_number = None if answer.accepted else change.number
         return (answer.notice.about(f"passed on by vehicle {vehicle_id}"),) if is_new else ()
 
-    def _fill_gap(
-        self,
-        gap_filling: GapFilling,
-        now_s: float,
-        vehicle: VehicleState,
-        flight: Flight,
-        consensus: Consensus,
-        slot: FlownSlot,
-    ) -> tuple[Notice, ...]:
+    def _fill_gap(self, gap_filling: GapFilling, now: Situation) -> tuple[Notice, ...]:
         """The first leader proposes a formation without the vehicle that left; all vehicles check it."""
-        if not vehicle.armed:
+        consensus = now.consensus
+        if not now.vehicle.armed:
             gap_filling.restart()
-        gap_filling.update(now_s, consensus.peers.flying)
+        gap_filling.update(now.now_s, consensus.peers.flying)
         slots, references = self._slots, self._references
-        is_first = self._first_leader(flight, consensus) == self._own_id
+        is_first = self._first_leader(now) == self._own_id
         if references is None or not is_first or not slots.is_settled(consensus.lead.reference_s):
             self._proposal = None
             return ()
         proposal = self._proposal or gap_filling.propose(
-            now_s,
+            now.now_s,
             slots.slots_enu_m,
             slots.flown.waiting,
             consensus.peers.known,
@@ -257,7 +244,7 @@ class Changes:
         )
         if proposal.change is None:
             return proposal.events
-        answer = self._change_formation(proposal.change, vehicle, flight, consensus, slot)
+        answer = self._change_formation(proposal.change, now)
         self._proposal = Proposal(proposal.gone_id, proposal.change) if answer is BEING_CHECKED else None
         if answer is BEING_CHECKED:
             return proposal.events
@@ -266,14 +253,9 @@ class Changes:
             return (*proposal.events, notice.about(f"closes the gap of vehicle {proposal.gone_id}"))
         return proposal.events + gap_filling.keep_gap(proposal.gone_id, notice.text)
 
-    def _first_leader(self, flight: Flight, consensus: Consensus) -> int | None:
-        leads = consensus.lead.role is LEADER and flight.phase is FORMATION
-        return first_leader(consensus.peers.flying, self._own_id if leads else None)
-
-
-def _fleet_enu_m(vehicle: VehicleState, slot: FlownSlot) -> Vector3:
-    """r of the fleet, derived from this vehicle's own position and slot."""
-    return formation_state(vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot).position_enu_m
+    def _first_leader(self, now: Situation) -> int | None:
+        leads = now.consensus.lead.role is LEADER and now.flight.phase is FORMATION
+        return first_leader(now.consensus.peers.flying, self._own_id if leads else None)
 
 
 def first_leader(flying: Iterable[PeerPacket], own_id: int | None) -> int | None:

@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from companion.core.consensus.law import FormationState, formation_state
 from companion.core.consensus.stage import Consensus
-from companion.core.formation.changes import NOTHING_CHANGED, Changes
+from companion.core.formation.changes import NOTHING_CHANGED, Changes, Situation
 from companion.core.formation.entry import FormationEntry
 from companion.core.formation.gaps import GapFilling
 from companion.core.formation.slots import SlotPlan
@@ -101,7 +101,7 @@ class GuidanceStage:
         changed = NOTHING_CHANGED
         passed_on = [peer for peer in consensus.peers.flying if peer.change is not None]
         if commands or passed_on or not self._changes.is_idle:
-            changed = self._changes.step(now_s, vehicle, flight, consensus, self._slot, commands)
+            changed = self._changes.step(Situation(now_s, vehicle, flight, consensus, self._slot), commands)
             events += changed.events
         reference_s, leads = consensus.lead.reference_s, consensus.lead.role is LEADER
         held, reference, refusal_to_lead = None, None, None
