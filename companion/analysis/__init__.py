@@ -1,1 +1,4 @@
-"""Linear analysis of a formation: spectra, margins, predictions. Flight code never imports it."""
+"""One linear model of a formation: responses, spectra, margins and predictions, and whether the law keeps a reference's pace.
+
+The agent checks commanded references by `pace.py` and `response.py`, which do without numpy; the core never imports this.
+"""

@@ -1,4 +1,4 @@
-"""State matrix of the linear model, x' = A x: stability and worst-case transient peak.
+"""Stability of the linear model: its state matrix x' = A x, the worst transient peak, delay margins and string stability.
 
 Delays are first-order Pade filters, (1 - s d/2) / (1 + s d/2). Their phase matches the delay up to
 1/d and beyond, which is faster than any formation responds.

@@ -1,4 +1,4 @@
-"""Prediction of a formation's errors: the linear model with attitude lag and loop delay, in steps.
+"""Prediction of a formation's errors by the linear model in steps, and when an error has settled.
 
 A vehicle is a double integrator behind a first-order lag (the attitude loop) and a delay
 (telemetry, Zenoh, setpoint). Noise, saturation and real attitude control are left out.

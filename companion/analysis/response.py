@@ -1,4 +1,4 @@
-"""How near two vehicles come while the formation follows a reference: the frequency response of the law.
+"""The linear model, and how near two vehicles come while the formation follows a reference: its frequency response.
 
 Lag, delay and drag make every vehicle follow its neighbours late, so turns and braking compress a formation. Each vehicle is a
 double integrator with drag behind a first-order attitude lag and a delay, `LinearModel`. With

@@ -1,1 +1,1 @@
-"""Curves, shapes of formations and ways between them, as numbers. Pure."""
+"""Frames, vectors, curves, shapes and metric of formations, and the airspace, as numbers. Pure."""

@@ -1,4 +1,4 @@
-"""Distance of two vehicles as the limit `separation_m` counts it.
+"""Formations as sets of slots: the metric of `separation_m`, named shapes, transitions between two of them, and turning.
 
 Every check against `separation_m` uses this metric: fleet files, formation changes, paths and the separation filter.
 """

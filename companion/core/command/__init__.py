@@ -1,1 +1,1 @@
-"""Commands: arbitration, dispatch, flight phases and autopilot procedures."""
+"""Commands: arbitration, clearance and the flight phases."""

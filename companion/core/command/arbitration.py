@@ -1,4 +1,4 @@
-"""Command arbitration: one operator holds command, and no command is executed twice.
+"""Commands: arbitration (one operator holds command, none is executed twice) and clearance before the phase machine.
 
 The first operator to give a command holds command until another operator takes it. Command numbers rise over all operators;
 the status has the last one, so that they depend on no clock.

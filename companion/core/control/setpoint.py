@@ -1,4 +1,4 @@
-"""The setpoint of a tick: the acceleration of the phase, through the output limits, or a last level attitude before silence."""
+"""The setpoint of a tick: the acceleration of the phase as attitude and thrust, or a last level attitude before silence."""
 
 from __future__ import annotations
 

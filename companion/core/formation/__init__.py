@@ -1,1 +1,1 @@
-"""Formation: slots, changes, joining and gap filling."""
+"""Formation: guidance, slots, entry, changes and gaps."""

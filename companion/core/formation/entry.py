@@ -1,4 +1,4 @@
-"""Entry into formation: where the fleet is, and the path of this vehicle into its slot.
+"""Entry into formation: where the fleet is, joining vehicles in formation, and the lead-in of a leader off the fleet.
 
 Vehicles that form together use `together.py`. A vehicle that forms later, among others in formation, uses `joining.py`.
 """

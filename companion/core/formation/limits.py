@@ -1,4 +1,4 @@
-"""Limits of a commanded formation: separation of slots and of the paths to them, speed, fence and obstacles."""
+"""Limits of a commanded formation: separation, speed, fence, obstacles, and vehicles that stay in the way."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Paths into a slot: delta(t), relative to the slot in the frame of the formation, decays to zero.
+"""Paths into a slot, of one vehicle and of vehicles that form together: delta(t), relative to the slot, decays to zero.
 
 A vehicle on a path flies slot + delta. The law then finds it in its slot all along, and pulls neither it nor its neighbours.
 Peers know such a path as well: the quintic that begins with the published motion of the slot and ends after `moves_for_s`.

@@ -1,7 +1,8 @@
-"""Change of the RFT in flight: r(t) = new(t) + delta(t), where delta begins at old - new and decays to zero.
+"""Reference trajectories, and the change of the RFT in flight.
 
-delta is a quintic. It begins with the difference of the two RFTs in position, velocity and acceleration and ends at zero in
-all three. It depends on the two RFTs alone. So every possible leader computes the same, and the leader may change meanwhile.
+r(t) = new(t) + delta(t), where delta begins at old - new and decays to zero. delta is a quintic. It begins with the difference
+of the two RFTs in position, velocity and acceleration and ends at zero in all three. It depends on the two RFTs alone. So every
+possible leader computes the same, and the leader may change meanwhile.
 """
 
 from __future__ import annotations

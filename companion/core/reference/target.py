@@ -1,4 +1,4 @@
-"""RFT that follows a target whose motion is not known in advance, within limits of speed, acceleration and room.
+"""RFT that follows a target whose motion is not known in advance, within limits; the samples of targets; and the room left.
 
 The velocity follows the target's velocity plus a pull towards its position (see `approach`): critically damped, and without
 lag behind a target of constant velocity. The acceleration changes at a limited rate, so that attitude setpoints do not step.

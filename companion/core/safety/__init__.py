@@ -1,1 +1,1 @@
-"""Health, failsafes, output limits, the separation filter, and the checks before flight."""
+"""Health, failsafes, output limits, and the checks before flight and against other vehicles."""
