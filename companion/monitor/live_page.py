@@ -105,7 +105,7 @@ def _show_recording(options: LivePage, folder: Path, address: Address) -> None:
         flight = recorded_flight(folder, lambda line: print(line, file=sys.stderr))
     except (RecordingError, NoFlightError) as error:
         raise MonitorError(f"--replay: {error}") from error
-    fleets = _with_file(flight.fleets, options)
+    fleets = with_file(flight.fleets, options)
     with ExitStack() as stack:
         station = Station(flight.source, fleets, operator="")
         if options.mavlink is not None:
@@ -114,7 +114,7 @@ def _show_recording(options: LivePage, folder: Path, address: Address) -> None:
         serve(station, None, address, options.tiles)
 
 
-def _with_file(recorded: dict[str, FleetConfig], options: LivePage) -> dict[str, FleetConfig]:
+def with_file(recorded: dict[str, FleetConfig], options: LivePage) -> dict[str, FleetConfig]:
     """The fleet files of the recordings, and --fleet-file in the place of that of its fleet."""
     fleet = options.fleet
     if fleet is None:

@@ -73,7 +73,7 @@ def run_monitor(
     if is_live:
         _need_rich()
     show: Print = _json if as_json else partial(_plain_table, members=members)
-    show_once: Print = partial(_json_once, members=members) if as_json else show
+    show_once: Print = partial(json_once, members=members) if as_json else show
     with FleetSession(fleet, endpoints, identity=identity) as session:
         try:
             if once:
@@ -182,7 +182,7 @@ def vehicle_as_data(vehicle: ReportedVehicle) -> dict[str, Any]:
     }
 
 
-def _json_once(vehicles: list[ReportedVehicle], members: Members) -> None:
+def json_once(vehicles: list[ReportedVehicle], members: Members) -> None:
     """On standard error those that the array cannot have, because they never reported."""
     _json(vehicles)
     for fleet in fleets(vehicles, members):

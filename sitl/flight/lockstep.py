@@ -110,7 +110,7 @@ class World:
     def __init__(self, files: Sequence[AutopilotFile], links: Links) -> None:
         self.now_s = 0.0
         self._steps = 0
-        self.stand_ins = [VirtualStandIn(file, links, _phase_s(file)) for file in files]
+        self.stand_ins = [VirtualStandIn(file, links, start_phase_s(file)) for file in files]
 
     def step(self) -> None:
         """One step of DT_S."""
@@ -123,7 +123,7 @@ class World:
                 stand_in.record(self.now_s)
 
 
-def _phase_s(file: AutopilotFile) -> float:
+def start_phase_s(file: AutopilotFile) -> float:
     """Phase of a vehicle's telemetry within its period; agents do not tick together by design."""
     return Random(f"{file.stand_in.seed} {file.id} phase").randrange(TELEMETRY_STEPS) * DT_S
 

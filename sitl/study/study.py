@@ -52,7 +52,7 @@ def run_study(workers: Workers, full: bool, progress: Progress) -> Study:
     double = [*noisy, *disturbed_batches(seeds, "default", NOISY_S)]
     pairs = all_results(
         workers,
-        _fly_pairs,
+        fly_batch_of_pairs,
         double,
         lambda share: progress(QUIET_SHARE + (1.0 - QUIET_SHARE) * share),
         [batch.work for batch in double],
@@ -79,5 +79,5 @@ def _fly_batch(batch: Batch) -> list[Figures]:
     return fly(batch.cases, batch.duration_s)
 
 
-def _fly_pairs(batch: Batch) -> list[FlownPair]:
+def fly_batch_of_pairs(batch: Batch) -> list[FlownPair]:
     return fly_pairs(batch.cases, batch.duration_s)

@@ -24,7 +24,7 @@ from sitl.study.cases import Case
 from sitl.study.plan import Batch
 from sitl.study.settings import AVERAGE_22
 from sitl.study.shapes import chain
-from sitl.study.study import _fly_pairs as fly_batch_of_pairs
+from sitl.study.study import fly_batch_of_pairs
 from sitl.sweep import flights
 from sitl.workers import LocalWorkers, all_results
 

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from companion.cli.main import main
 from companion.config.fleet import FleetConfig
 from companion.monitor import live_page
-from companion.monitor.live_page import LivePage, _with_file
+from companion.monitor.live_page import LivePage, with_file
 from made_flights import fleet_of
 
 FLOWN = fleet_of(3)
@@ -36,7 +36,7 @@ def replayed(fleet: FleetConfig | None) -> LivePage:
 
 @pytest.mark.parametrize("fleet", [None, fleet_of(3)])
 def test_without_a_difference_nothing_is_said(fleet: FleetConfig | None, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _with_file({FLOWN.name: FLOWN}, replayed(fleet)) == {FLOWN.name: FLOWN}
+    assert with_file({FLOWN.name: FLOWN}, replayed(fleet)) == {FLOWN.name: FLOWN}
     assert capsys.readouterr().err == ""
 
 
@@ -48,7 +48,7 @@ def test_without_a_difference_nothing_is_said(fleet: FleetConfig | None, capsys:
     ],
 )
 def test_a_file_that_differs_is_one_line(given: FleetConfig, words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _with_file({FLOWN.name: FLOWN}, replayed(given))[given.name] is given
+    assert with_file({FLOWN.name: FLOWN}, replayed(given))[given.name] is given
     printed = capsys.readouterr().err
     assert words in printed
     assert printed.count("\n") == 1

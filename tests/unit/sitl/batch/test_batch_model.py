@@ -26,7 +26,7 @@ from sitl.batch.bodies import (
     quaternion_of_turns,
 )
 from sitl.batch.columns import columns_of, phase_steps
-from sitl.flight.lockstep import _phase_s
+from sitl.flight.lockstep import start_phase_s
 from sitl.vehicle.config import Airframe, AutopilotFile, StandIn
 from sitl.vehicle.control import AttitudeControl, AttitudeSetpoint
 from sitl.vehicle.dynamics import Body, small_turn, turned
@@ -148,7 +148,7 @@ def test_phases_equal_those_of_lockstep() -> None:
     for seed in (1, 7):
         for vehicle_id in range(1, 9):
             file = AutopilotFile(id=vehicle_id, stand_in=StandIn(seed=seed))
-            assert phase_steps(seed, vehicle_id) * 0.004 == _phase_s(file)
+            assert phase_steps(seed, vehicle_id) * 0.004 == start_phase_s(file)
 
 
 def test_columns_are_sorted_by_phase_and_map_back_to_vehicles() -> None:
