@@ -137,13 +137,13 @@ class Lockstep:
         """With `recordings` every agent records into that folder, with virtual times."""
         ids = ids_of(scenario)
         self._world = World([autopilot_file(scenario, i) for i in ids], scenario.links)
-        self._network = Network(ids, scenario.links, scenario.stand_in.seed)
+        self.network = Network(ids, scenario.links, scenario.stand_in.seed)
         self._reports: list[StatusReport] = []
-        self._vehicles = {
-            stand_in.vehicle_id: VirtualAgent(scenario, stand_in, self._network, self._reports, recordings)
+        self.vehicles = {
+            stand_in.vehicle_id: VirtualAgent(scenario, stand_in, self.network, self._reports, recordings)
             for stand_in in self._world.stand_ins
         }
-        self._in_order = list(self._vehicles.values())
+        self.in_order = list(self.vehicles.values())
         self._commands_given = 0
         self._target_samples = 0
 
@@ -168,7 +168,7 @@ class Lockstep:
 
     def newest(self) -> dict[int, Status]:
         """The newest status of each vehicle that ever reported."""
-        return {i: vehicle.status for i, vehicle in self._vehicles.items() if vehicle.status}
+        return {i: vehicle.status for i, vehicle in self.vehicles.items() if vehicle.status}
 
     def ask(
         self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
@@ -178,7 +178,7 @@ class Lockstep:
         A vehicle that has not reported yet gets none, for lack of its session, and is waited for until it reports.
         """
         self._commands_given += 1
-        number, asked = self._commands_given, [self._vehicles[vehicle_id] for vehicle_id in vehicle_ids]
+        number, asked = self._commands_given, [self.vehicles[vehicle_id] for vehicle_id in vehicle_ids]
         given = [vehicle for vehicle in asked if vehicle.session]
         for vehicle in given:
             vehicle.give(Command(name, number, self.operator, vehicle.session, content))
@@ -194,18 +194,18 @@ class Lockstep:
         """A sample of a moving target, received by all vehicles at once."""
         self._target_samples += 1
         sample = TargetSample(1, self._target_samples, self.now_s(), velocity_enu_m_s, position_enu_m)
-        for vehicle in self._in_order:
+        for vehicle in self.in_order:
             vehicle.take_target(name, sample)
 
     def close(self) -> None:
         """End the recordings."""
-        for vehicle in self._in_order:
+        for vehicle in self.in_order:
             vehicle.close()
 
     def _step(self) -> None:
         self._world.step()
         next_step_s = self._world.now_s + DT_S
-        for vehicle in self._in_order:
+        for vehicle in self.in_order:
             # Every position that arrives before the next step triggers a tick.
             while (now_s := vehicle.link.tick_s(next_step_s)) is not None:
                 vehicle.tick(now_s)
@@ -224,7 +224,7 @@ class VirtualAgent:
     ) -> None:
         self.vehicle_id = stand_in.vehicle_id
         self.link = stand_in.link
-        self._network = network
+        self.network = network
         self._reports = reports
         self._scenario = scenario
         ends = (end for end in scenario.agent_ends if end.vehicle == self.vehicle_id)
@@ -254,15 +254,15 @@ class VirtualAgent:
         runs = self._process_runs(now_s)
         inbox = Inbox(
             self.link.drain(now_s),
-            self._network.receive(self.vehicle_id, now_s),
+            self.network.receive(self.vehicle_id, now_s),
             self._commands,
             targets=tuple([ReceivedTarget(now_s, name, target) for name, target in self._targets]),
         )
         self._commands, self._targets = (), ()
         if not runs:  # the input is lost: nothing waits for the next process
             return
-        decision = self._agent.decide(now_s, inbox)
-        outbox = self._agent.report(decision)
+        decision = self.agent.decide(now_s, inbox)
+        outbox = self.agent.report(decision)
         self._send(now_s, outbox)
         if self._recorder:
             sent = round_outbox(outbox)
@@ -286,7 +286,7 @@ class VirtualAgent:
     def _start(self) -> None:
         """A new process of the agent."""
         config = _config(self._scenario, self.vehicle_id)
-        self._agent: Agent = build_agent(config, self._starts)
+        self.agent: Agent = build_agent(config, self._starts)
         self._recorder = (
             recorder_of(config, self._starts, self._recordings, 0.0, 0.0, WritingAtOnce()) if self._recordings else None
         )
@@ -299,10 +299,10 @@ class VirtualAgent:
         for reply in outbox.replies:
             self._reply = reply
         if outbox.peer_packet:
-            self._network.send(outbox.peer_packet, now_s)
+            self.network.send(outbox.peer_packet, now_s)
         if outbox.distant_ids != self._distant_ids:
             self._distant_ids = outbox.distant_ids
-            self._network.set_low_rate_peers(self.vehicle_id, outbox.distant_ids, now_s)
+            self.network.set_low_rate_peers(self.vehicle_id, outbox.distant_ids, now_s)
         if outbox.status:
             self.status, self.session = outbox.status, outbox.status.session
             self._reports.append(StatusReport(outbox.status, NOT_TIMED))

@@ -53,8 +53,8 @@ class Network:
     def __init__(self, vehicle_ids: Iterable[int], links: Links, seed: int) -> None:
         ids = list(vehicle_ids)
         self._in_transit: dict[int, list[tuple[float, int, PeerPacket]]] = {i: [] for i in ids}
-        self._paths = {i: [Path(i, j, links, seed) for j in ids if j != i] for i in ids}
-        self._distant: dict[int, frozenset[int]] = {i: frozenset() for i in ids}  # of each receiver
+        self.paths = {i: [Path(i, j, links, seed) for j in ids if j != i] for i in ids}
+        self.distant: dict[int, frozenset[int]] = {i: frozenset() for i in ids}  # of each receiver
         self._next_distant: list[tuple[float, int, frozenset[int]]] = []  # from when on, receiver, its distant peers
         self._subscribed_after_s = SUBSCRIBED_AFTER_S + links.peer_delay_s + links.peer_jitter_s
         self._sent = 0
@@ -63,12 +63,12 @@ class Network:
         """To all others; to those that receive the sender at 5 Hz only every tenth."""
         while self._next_distant and self._next_distant[0][0] <= now_s:
             _, receiver, distant_ids = self._next_distant.pop(0)
-            self._distant[receiver] = distant_ids
+            self.distant[receiver] = distant_ids
         self._sent += 1
         sender_id = packet.sender.vehicle_id
         at_low_rate = (packet.sender.sequence + sender_id) % LOW_RATE_TICKS == 0
-        for path in self._paths[sender_id]:
-            if not at_low_rate and sender_id in self._distant[path.receiver]:
+        for path in self.paths[sender_id]:
+            if not at_low_rate and sender_id in self.distant[path.receiver]:
                 continue
             for arrives_s in path.arrivals_s(now_s):
                 # The number keeps packets of one time in order.

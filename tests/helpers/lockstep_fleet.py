@@ -53,13 +53,13 @@ class CommandedFlight:
         self.packets: list[PeerPacket] = []
         self.targets = record_targets(self.lockstep)
         self.decisions = Decisions(self.lockstep)
-        send = self.lockstep._network.send
+        send = self.lockstep.network.send
 
         def sent(packet: PeerPacket, now_s: float) -> None:
             self.packets.append(packet)
             send(packet, now_s)
 
-        self.lockstep._network.send = sent  # type: ignore[method-assign]
+        self.lockstep.network.send = sent  # type: ignore[method-assign]
         self.go_on(0.5)
 
     def go_on(self, seconds: float) -> None:
@@ -73,7 +73,7 @@ class CommandedFlight:
         """From now on packets between these vehicles and all others are lost, for this time."""
         now_s = self.lockstep.now_s()
         partition = Partition(ids, now_s, now_s + for_s, lost)
-        for paths in self.lockstep._network._paths.values():
+        for paths in self.lockstep.network.paths.values():
             for path in paths:
                 path.links = replace(path.links, partitions=(partition,))
 
@@ -135,7 +135,7 @@ class CommandedFlight:
         assert member is not None
         file = vehicle_file(self.scenario, reached_stand_in(self.scenario, vehicle_id, port_offset=0), port_offset=0)
         agent = build_agent(AgentConfig(file, self.scenario.fleet, member), session=2)
-        self.lockstep._vehicles[vehicle_id]._agent = agent
+        self.lockstep.vehicles[vehicle_id].agent = agent
 
 
 JUMP_M = 0.0005  # of a slot or a reference, beyond its velocity: a tick at 2.5 m/s^2, more than any blend has
@@ -147,7 +147,7 @@ class Decisions:
     """All decisions of the agents from now on."""
 
     def __init__(self, lockstep: Lockstep) -> None:
-        self._of = {vehicle_id: _record(vehicle._agent) for vehicle_id, vehicle in lockstep._vehicles.items()}
+        self._of = {vehicle_id: _record(vehicle.agent) for vehicle_id, vehicle in lockstep.vehicles.items()}
 
     def jump_m(self, from_s: float = -inf) -> float:
         """The largest jump of a slot, or of the reference of a vehicle that goes on leading, from one tick to the next."""
@@ -321,7 +321,7 @@ def record_at_setpoints(
 ) -> dict[int, list[tuple[float, Recorded]]]:
     """`value_of(vehicle_id, setpoint)` at every setpoint, by vehicle id, with its time."""
     recorded: dict[int, list[tuple[float, Recorded]]] = {}
-    for vehicle_id, vehicle in lockstep._vehicles.items():
+    for vehicle_id, vehicle in lockstep.vehicles.items():
         rows, follow = recorded.setdefault(vehicle_id, []), vehicle.link.command
 
         def command(target, now_s, vehicle_id=vehicle_id, rows=rows, follow=follow):  # type: ignore[no-untyped-def]

@@ -69,7 +69,7 @@ class Flight:
         assert self.fleet.accepted(CommandName.FORM)
         self.fleet.go_on(2.0)
         self.began_s = self.lockstep.now_s()
-        guidance = self.lockstep._vehicles[1]._agent._guidance
+        guidance = self.lockstep.vehicles[1].agent._guidance
         assert guidance._references is not None
         self.plan = guidance._references
 

@@ -47,14 +47,14 @@ class LargeFleet(CommandedFlight):
     @property
     def distant(self) -> dict[int, frozenset[int]]:
         """Of each vehicle those that it receives at 5 Hz."""
-        return dict(self.lockstep._network._distant)
+        return dict(self.lockstep.network.distant)
 
     def receivers_at_5_hz(self, vehicle_id: int) -> set[int]:
         return {i for i, ids in self.distant.items() if vehicle_id in ids}
 
     def received(self, vehicle_id: int, within_s: float) -> list[int]:
         """Senders of the packets that a vehicle receives from now on."""
-        receive, senders = self.lockstep._network.receive, []
+        receive, senders = self.lockstep.network.receive, []
 
         def counted(receiver: int, now_s: float) -> Iterable[object]:
             packets = receive(receiver, now_s)
@@ -62,9 +62,9 @@ class LargeFleet(CommandedFlight):
                 senders.extend(received.packet.sender.vehicle_id for received in packets)
             return packets
 
-        self.lockstep._network.receive = counted  # type: ignore[method-assign, assignment]
+        self.lockstep.network.receive = counted  # type: ignore[method-assign, assignment]
         self.go_on(within_s)
-        self.lockstep._network.receive = receive  # type: ignore[method-assign]
+        self.lockstep.network.receive = receive  # type: ignore[method-assign]
         return senders
 
     def tracks(self) -> dict[int, list[list[float]]]:

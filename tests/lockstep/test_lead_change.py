@@ -199,7 +199,7 @@ def test_an_agent_restarted_in_flight_does_not_become_leader_again() -> None:
     member = scenario.fleet.vehicles[0]
     file = vehicle_file(scenario, reached_stand_in(scenario, member.id, port_offset=0), port_offset=0)
     config = AgentConfig(file, scenario.fleet, member)
-    lockstep._vehicles[1]._agent = build_agent(config, session=2)
+    lockstep.vehicles[1].agent = build_agent(config, session=2)
     lockstep.sleep(2.0)
     answer = lockstep.ask([1], CommandName.HOLD, 1.0)[1]
     assert answer is not None

@@ -228,11 +228,11 @@ def test_a_restarted_second_leader_forms_only_with_the_reference_of_the_first() 
     fleet.go_on(3.0)
     fleet.give(CommandName.HOLD, 2)
     fleet.until(2, FlightPhase.HOLD)
-    in_order = fleet.lockstep._in_order
-    fleet.lockstep._in_order = [vehicle for vehicle in in_order if vehicle.vehicle_id != 2]
+    in_order = fleet.lockstep.in_order
+    fleet.lockstep.in_order = [vehicle for vehicle in in_order if vehicle.vehicle_id != 2]
     fleet.go_on(1.0)
     fleet.restart(2)
-    fleet.lockstep._in_order, fleet.lockstep._vehicles[2].session = in_order, 2
+    fleet.lockstep.in_order, fleet.lockstep.vehicles[2].session = in_order, 2
     fleet.go_on(1.0)
     fleet.give(CommandName.HOLD, 2)
     fleet.until(2, FlightPhase.HOLD)

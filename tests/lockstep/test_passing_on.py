@@ -74,11 +74,11 @@ def test_a_landed_and_a_restarted_vehicle_get_the_formation_on_the_ground() -> N
     assert flight.newest[8].slot.position_enu_m == WIDER[8]
     assert (8, "passed on by vehicle 1: formation 1, which the others fly") in flight.events
 
-    in_order = flight.lockstep._in_order
-    flight.lockstep._in_order = in_order[:7]
+    in_order = flight.lockstep.in_order
+    flight.lockstep.in_order = in_order[:7]
     flight.go_on(1.0)
     flight.restart(8)
-    flight.lockstep._in_order = in_order
+    flight.lockstep.in_order = in_order
     flight.newest.clear()
     flight.go_on(1.0)
     assert flight.newest[8].slot.position_enu_m == WIDER[8]
@@ -91,11 +91,11 @@ def test_a_restarted_leader_does_not_form_with_vehicles_of_another_formation() -
     flight.go_on(14.0)
     flight.give(CommandName.HOLD)
     flight.go_on(2.0)
-    in_order = flight.lockstep._in_order
-    flight.lockstep._in_order = in_order[1:]
+    in_order = flight.lockstep.in_order
+    flight.lockstep.in_order = in_order[1:]
     flight.go_on(1.0)
     flight.restart(1)
-    flight.lockstep._in_order, flight.lockstep._vehicles[1].session = in_order, 2
+    flight.lockstep.in_order, flight.lockstep.vehicles[1].session = in_order, 2
     flight.go_on(1.0)
     flight.give(CommandName.HOLD, 1)
     flight.go_on(1.0)

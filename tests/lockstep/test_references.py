@@ -169,7 +169,7 @@ def test_an_agent_restarted_in_flight_does_not_become_leader_without_the_referen
     flight.lockstep.sleep(2.0)
     member = flight.scenario.fleet.vehicles[1]
     file = vehicle_file(flight.scenario, reached_stand_in(flight.scenario, 2, port_offset=0), port_offset=0)
-    flight.lockstep._vehicles[2]._agent = build_agent(AgentConfig(file, flight.scenario.fleet, member), session=2)
+    flight.lockstep.vehicles[2].agent = build_agent(AgentConfig(file, flight.scenario.fleet, member), session=2)
     flight.lockstep.sleep(2.0)
     for name, phase in ((CommandName.HOLD, FlightPhase.HOLD), (CommandName.FORM, FlightPhase.FORMATION)):
         flight.command(name, 2)

@@ -48,7 +48,7 @@ class RestartedLeader(CommandedFlight):
         if moves:
             self.give(CommandName.REFERENCE, 1, 2, content=reference_change(path, list(self.newest.values())))
         self.until_s(ENDS_S + RESTARTS_AFTER_S)
-        link = self.lockstep._vehicles[1].link
+        link = self.lockstep.vehicles[1].link
         follow = link.request
 
         def request(asked: AutopilotRequest, now_s: float) -> None:

@@ -70,14 +70,14 @@ def flown(*overrides: str, dead: Iterable[int] = (1,), for_s: float = 5.0) -> Fl
     director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
     director.fly([*scenario.timeline[:3], replace(scenario.timeline[3], for_s=DIES_AFTER_S)])
     died_s, packets = lockstep.now_s(), []
-    send = lockstep._network.send
+    send = lockstep.network.send
 
     def sent(packet: PeerPacket, now_s: float) -> None:
         packets.append((now_s - died_s, packet))
         send(packet, now_s)
 
-    lockstep._network.send = sent  # type: ignore[method-assign]
-    lockstep._in_order = [vehicle for vehicle in lockstep._in_order if vehicle.vehicle_id not in dead]
+    lockstep.network.send = sent  # type: ignore[method-assign]
+    lockstep.in_order = [vehicle for vehicle in lockstep.in_order if vehicle.vehicle_id not in dead]
     decisions = Decisions(lockstep)
     lockstep.sleep(for_s)
     assert watch.formation is not None
@@ -177,7 +177,7 @@ def test_a_commanded_hold_does_not_end_in_landing() -> None:
     director.fly(scenario.timeline[:3])
     answers = lockstep.ask([2, 3], CommandName.HOLD, 1.0)
     assert all(answer and answer.reply.accepted for answer in answers.values())
-    lockstep._in_order = lockstep._in_order[1:3]
+    lockstep.in_order = lockstep.in_order[1:3]
     lockstep.sleep(5.0)
     assert {report.status.phase for report in lockstep.drain()[-2:]} == {FlightPhase.HOLD}
 
@@ -188,7 +188,7 @@ def test_a_successor_that_lags_far_behind_a_fast_reference_takes_over_and_nobody
     flight.go_on(FAST_AFTER_S)
     assert min(error_m for i, error_m in flight.errors_m().items() if i != 1) > LAG_M
     since_s = flight.lockstep.now_s()
-    flight.lockstep._in_order = [vehicle for vehicle in flight.lockstep._in_order if vehicle.vehicle_id != 1]
+    flight.lockstep.in_order = [vehicle for vehicle in flight.lockstep.in_order if vehicle.vehicle_id != 1]
     for _ in range(40):
         flight.go_on(0.5)
         assert {flight.newest[i].phase for i in (2, 3, 4)} == {FlightPhase.FORMATION}

@@ -36,7 +36,7 @@ class Flown:
     def __init__(self, file: str, *overrides: str) -> None:
         self.scenario = load_scenario(SCENARIOS / file, overrides)
         lockstep, self.watch = Lockstep(self.scenario), Recorder(self.scenario)
-        agents = {vehicle_id: vehicle._agent for vehicle_id, vehicle in lockstep._vehicles.items()}
+        agents = {vehicle_id: vehicle.agent for vehicle_id, vehicle in lockstep.vehicles.items()}
         self.headings = record_at_setpoints(lockstep, lambda vehicle_id, _: agents[vehicle_id]._last_guidance.heading)
         self.decisions = Decisions(lockstep)
         director = Director(lockstep, self.watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
