@@ -140,7 +140,13 @@ def shift_m(gains: Gains, velocity_error_m_s: float) -> float:
 
 
 def share_left(rate_rad_s: float, bandwidth_1_s: float) -> float:
-    """Share of a velocity error that turns at this rate which the correction leaves; 1 where it is off."""
+    """Share of a velocity error that turns at this rate which the correction leaves; 1 where it is off.
+
+    The law rests where k1 times the position error balances k2 times the velocity error e: k2/k1 of e away. The correction
+    (`core/estimation/corrections.py`) leaves of e what its filter lets pass: s (s + 2 w) / (s + w)^2 e. It acts on the
+    difference of the autopilot's own position and velocity, and where both agree it is zero: in the linear model of law and
+    correction together the poles are those of the law and twice -w, so it makes no formation unstable.
+    """
     if bandwidth_1_s == 0.0:
         return 1.0
     s = 1j * rate_rad_s

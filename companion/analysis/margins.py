@@ -119,6 +119,10 @@ def delay_margin_with_lag_s(coupling: Coupling, model: LinearModel) -> float:
     A root of det(I + Lambda(s) e^{-sd}) = 0 reaches the imaginary axis at s = j omega if an
     eigenvalue of Lambda has modulus 1 and d = (pi + arg) / omega. For a system that is stable at
     d = 0 the margin is the smallest such d. `model.delay_s` is not used.
+
+    The loop is Lambda(s) e^{-sd} with Lambda = N (k1 + k2 s) / (s^2 (1 + sT)) and N = (I - g W e^{-s tau})^-1 G. Without
+    feed-forward N = G: each eigenvalue has its own loop, and its margin has a closed form. With feed-forward the eigenvalues of
+    N depend on the frequency, and the margin is found by a search.
     """
     if not _stable_without_delay(coupling, model):
         return 0.0
@@ -246,6 +250,10 @@ def string_gains(coupling: Coupling, model: LinearModel) -> StringGains | None:
     """Gains of a formation; None if all vehicles are leaders or the formation is unstable.
 
     Every vehicle must have a path to a leader.
+
+    The smallest eigenvalue of G does not show this growth. y_i is the displacement of vehicle i. The reference oscillates like
+    sin(omega t), or an acceleration disturbs the leaders only. With one leader both inputs give the same ratios of y, because
+    the equations of the followers contain y alone. At low frequencies all vehicles follow and all ratios are 1.
     """
     levels = [np.flatnonzero(coupling.prcs == p) for p in range(1, int(coupling.prcs.max()) + 1)]
     if len(levels) < 2 or not is_stable(coupling, model):

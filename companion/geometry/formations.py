@@ -166,6 +166,10 @@ def closest_approach(before_enu_m: Mapping[int, Vector3], after_enu_m: Mapping[i
     """(smallest distance of two slots during the transition [m], their vehicles).
 
     (inf, 0, 0) for a single vehicle. Both formations have the same vehicles.
+
+    Slots assigned by the smallest sum of squared distances do not cross on such paths. They keep at least 1/sqrt(2) of the
+    smaller of the two formations' separations (Turpin, Michael and Kumar, 2014). The actual minimum distance of a pair is the
+    minimum of a quadratic function.
     """
     pairs = (
         (_closest_pair(before_enu_m[i], after_enu_m[i], before_enu_m[j], after_enu_m[j]), i, j)

@@ -53,6 +53,11 @@ class Silence(Struct, frozen=True, gc=False):
 
     It brakes after `brakes_s` at the earliest, and keeps its attitude until `kept_s`. It flies `most_m_s` at most: one
     packet may report any velocity. `lands`: it may do so.
+
+    An agent that fails levels and requests a hold before it falls silent. An autopilot without setpoints keeps the last
+    attitude for about 1 s (PX4 COM_OF_LOSS_T, ArduCopter GUID_TIMEOUT). PX4 then brakes to a hold or lands (COM_OBL_RC_ACT);
+    ArduCopter levels, and only drag slows it down. No other vehicle knows which of these a silent one does, so all of the way
+    counts.
     """
 
     begins_s: float

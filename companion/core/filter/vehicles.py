@@ -43,6 +43,7 @@ from companion.types.formation import FlownSlot
 from companion.types.status import NearestVehicle
 from companion.types.values import Vector3
 
+# Where no norm or paper stands beside a value, the flights of tests/unit/core/filter try it.
 PLANNED_SHARE = 0.5  # of the acceleration at the tilt limit, planned for braking; the rest is for wind (docs/safety.md)
 ALONE_SHARE = 0.6  # of that, where the own vehicle alone makes way: others may stand behind it
 UNSEEN_DELAY_S = (
@@ -278,7 +279,7 @@ def largest_removed_m_s2(wanted_enu_m_s2: Vector3, barriers: Iterable[Barrier]) 
     return most
 
 
-TURN = 0.8  # sideways acceleration for each m/s^2 that a half-space takes from the wanted one
+TURN = 0.8  # sideways acceleration for each m/s^2 that a constraint removes from the wanted one
 LARGEST_TURN_M_S2 = 2.0  # towards the right of all blocking vehicles together
 PASSING_M_S = 1.0  # a vehicle this fast does not stay on the goal
 DRIFTING_M_S = 0.2  # sideways, from which on a vehicle that does not make way is passed on its other side

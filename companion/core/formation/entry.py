@@ -235,7 +235,11 @@ def mean_state(states: Collection[FormationState]) -> FormationState:
 
 
 class LeadIn:
-    """rho of this vehicle while it is leader in formation. It depends on its own clock alone."""
+    """rho of this vehicle while it is leader in formation. It depends on its own clock alone.
+
+    A successor of a lost leader, a leader that comes back from hold, and a fleet that lags behind a fast RFT are not
+    where the RFT of the leader is. Without rho the law would fly it at once, in a step as large as the difference.
+    """
 
     def __init__(self, speed_m_s: float, law_within_m: float) -> None:
         """`speed_m_s` limits what rho adds; up to `law_within_m` the law alone settles the difference."""

@@ -176,6 +176,9 @@ def refusal_of_tracks(tracks_enu_m: Tracks, peers: Iterable[PeerPacket], separat
 
     Of a peer in hold the height counts; one that climbs or comes down is in the way at every height. A vehicle that is already
     nearer at the beginning of its track is the separation filter's matter.
+
+    A vehicle in hold, or one that climbs, lands or returns, does not move with the formation. So its position counts, not its
+    slot.
     """
     for peer in peers:
         if not stays(peer):

@@ -117,6 +117,10 @@ class FormingTogether:
     """Paths of vehicles that form together, and whether they keep `separation_m`.
 
     Vehicles that form make way for each other, so their paths may cross. Others must not be in the way.
+
+    Relative to the RFT the offset of every vehicle from its slot decays by one law of time. So each distance of two vehicles
+    changes along a straight line, wherever the RFT is and however it moves. The leader sets the duration, which its slot
+    publishes; the others end with it. Near their slots the law alone settles the vehicles, as in the paper.
     """
 
     def __init__(

@@ -193,7 +193,11 @@ PASSES = 3  # a velocity kept from one wall may lead to another one
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """Room for r. `box` is that of r itself, `airspace` that of each slot about r, None where the box is all there is."""
+    """Room for r. `box` is that of r itself, `airspace` that of each slot about r, None where the box is all there is.
+
+    Braking goes straight along the velocity. Each wall is a plane, a side of the fence's polygon or a convex obstacle, so it
+    lies behind the plane across its nearest point, and braking that ends before that plane stays clear of it.
+    """
 
     box: Box
     airspace: Airspace | None = None
