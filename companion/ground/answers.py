@@ -67,7 +67,7 @@ def answer_lines(outcomes: Mapping[int, Outcome]) -> list[str]:
     lines = []
     for vehicle_id, outcome in sorted(outcomes.items()):
         took = "" if outcome.after_s is None else f"{outcome.after_s * 1000.0:.0f} ms"
-        lines += wrapped(f"vehicle {vehicle_id:<3} {outcome.kind:<8} {took:>7}  ", str(outcome.notice))
+        lines += wrap_text(f"vehicle {vehicle_id:<3} {outcome.kind:<8} {took:>7}  ", str(outcome.notice))
     return lines
 
 
@@ -78,7 +78,7 @@ def end_lines(outcomes: Mapping[int, Outcome], goal: str) -> list[str]:
     lines = [
         line
         for vehicle_id, end in missed.items()
-        for line in wrapped(f"vehicle {vehicle_id:<3} not finished  ", str(end.notice))
+        for line in wrap_text(f"vehicle {vehicle_id:<3} not finished  ", str(end.notice))
     ]
     finished = len(ends) - len(missed)
     after_s = max((end.after_s for end in ends.values()), default=0.0)
@@ -114,7 +114,7 @@ def _end_as_data(end: End | None) -> dict[str, Any]:
 WIDEST, NARROWEST = 100, 60  # columns of an answer
 
 
-def wrapped(head: str, text: str) -> list[str]:
+def wrap_text(head: str, text: str) -> list[str]:
     """`head` and the text in lines of at most WIDEST columns, fewer on a narrow terminal; the text is indented below itself."""
     columns = shutil.get_terminal_size((WIDEST, 24)).columns
     width = min(WIDEST, max(NARROWEST, columns))

@@ -86,14 +86,14 @@ def reference_change(reference: Described, statuses: Sequence[Status]) -> Refere
     return ReferenceChange(number, reference, fleet_time_s(statuses) + AHEAD_S)
 
 
-def wanted_reference(request: ReferenceRequest, statuses: Collection[Status]) -> Reference:
+def resolve_reference_now(request: ReferenceRequest, statuses: Collection[Status]) -> Reference:
     """The reference of a request to a fleet with these reports. Raises ConfigError."""
     check_reports("reference", statuses)
     flown = [status.reference_enu_m for status in statuses if status.reference_enu_m]
-    return requested_reference(request, here_enu_m=flown[0] if flown else None)
+    return resolve_reference(request, here_enu_m=flown[0] if flown else None)
 
 
-def requested_reference(request: ReferenceRequest, here_enu_m: Vector3 | None) -> Reference:
+def resolve_reference(request: ReferenceRequest, here_enu_m: Vector3 | None) -> Reference:
     """The reference of a request. A target without a position is awaited `here_enu_m`. Raises ConfigError."""
     if request.whole is not None:
         return request.whole
@@ -151,12 +151,12 @@ def check_request(request: FormationRequest, fleet: FleetConfig) -> None:
         )
 
 
-def requested_slots(request: FormationRequest, statuses: Sequence[Status], fleet: FleetConfig) -> dict[int, Vector3]:
+def resolve_slots(request: FormationRequest, statuses: Sequence[Status], fleet: FleetConfig) -> dict[int, Vector3]:
     """The slot of each vehicle: as in the file, the flown one, or assigned for a shape. Raises ConfigError."""
     check_reports("formation", statuses)
     if request.shape and request.spacing_m is not None:
         slots = named_slots(request.shape, len(statuses), request.spacing_m * request.scale, request.heading_deg)
-        return assigned(positions_enu_m(statuses), slots)
+        return assign_slots(positions_enu_m(statuses), slots)
     flown_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
     slots_enu_m = load_slots(request.slots_file, fleet) if request.slots_file else request.slots_enu_m or flown_enu_m
     return {i: rotated(slot, radians(request.heading_deg), request.scale) for i, slot in slots_enu_m.items()}
@@ -172,7 +172,7 @@ def positions_enu_m(statuses: Sequence[Status]) -> dict[int, Vector3]:
     return {status.vehicle_id: rotated(status.position_enu_m, -status.heading.angle_rad, 1.0) for status in statuses}
 
 
-def assigned(flown_enu_m: Mapping[int, Vector3], slots_enu_m: Sequence[Vector3]) -> dict[int, Vector3]:
+def assign_slots(flown_enu_m: Mapping[int, Vector3], slots_enu_m: Sequence[Vector3]) -> dict[int, Vector3]:
     """A slot for each vehicle with the least sum of squared distances: no two straight paths cross (see transition.py)."""
     from scipy.optimize import linear_sum_assignment  # takes seconds to load
 

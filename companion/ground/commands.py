@@ -25,11 +25,20 @@ from companion.ground.changes import (
     command_line,
     reference_change,
     refusal_of,
-    requested_reference,
-    requested_slots,
-    wanted_reference,
+    resolve_reference,
+    resolve_reference_now,
+    resolve_slots,
 )
-from companion.ground.goals import ALL_OR_NONE, GOALS, STILL_CHANGING, Goal, check_all, end_of, progress_text, timed_out
+from companion.ground.goals import (
+    ALL_OR_NONE,
+    GOALS,
+    STILL_CHANGING,
+    Goal,
+    check_all,
+    end_of,
+    end_timed_out,
+    progress_text,
+)
 from companion.types.commands import CommandName, Content, Lead, next_epoch
 from companion.types.errors import CompanionError
 from companion.types.flight import FlightPhase
@@ -179,7 +188,7 @@ class OperatorCommands:
                 f"no report of vehicle {', '.join(silent)} for {self._wait_s:g} s; all vehicles get new slots"
             )
         statuses, fleet = list(reports.values()), self._fleet
-        slots_enu_m = requested_slots(request, statuses, fleet)
+        slots_enu_m = resolve_slots(request, statuses, fleet)
         if refusal := refusal_of(slots_enu_m, fleet.separation_m, has_height=fleet.law.altitude == "formation"):
             raise OperateError(refusal)
         change = change_to(slots_enu_m, statuses, fleet.slot_speed_m_s)
@@ -192,7 +201,7 @@ class OperatorCommands:
         if not reports:
             raise OperateError(f"no report of any vehicle for {self._wait_s:g} s")
         statuses = list(reports.values())
-        reference = wanted_reference(request, statuses)
+        reference = resolve_reference_now(request, statuses)
         slots_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
         check_reference(request.file or command_line("reference"), self._fleet, reference, slots_enu_m=slots_enu_m)
         change = reference_change(msgspec.to_builtins(reference), statuses)
@@ -259,7 +268,7 @@ def wait_for(
             show(f"{after_s:5.1f} s  {line}")
             before = line
         if after_s > timeout_s:
-            ends |= {i: timed_out(goal, statuses.get(i), after_s, timeout_s) for i in pending}
+            ends |= {i: end_timed_out(goal, statuses.get(i), after_s, timeout_s) for i in pending}
             break
         clock.sleep(PROGRESS_EVERY_S)
     return {i: replace(outcome, end=ends.get(i)) for i, outcome in outcomes.items()}
@@ -274,4 +283,4 @@ def check_content(action: FleetAction, fleet: FleetConfig) -> None:
             raise OperateError(f"formations need the package scipy: {GROUND_INSTALL}") from error
         check_request(action.formation, fleet)
     if action.reference:
-        requested_reference(action.reference, here_enu_m=ZERO3)
+        resolve_reference(action.reference, here_enu_m=ZERO3)

@@ -111,7 +111,7 @@ def end_of(goal: Goal, status: Status, after_s: float) -> End | None:
     return End(False, after_s, Notice(Code.ACTION_FAILED, f"not {goal.text}: phase {status.phase}{event}"))
 
 
-def timed_out(goal: Goal, status: Status | None, after_s: float, timeout_s: float) -> End:
+def end_timed_out(goal: Goal, status: Status | None, after_s: float, timeout_s: float) -> End:
     """The end of the wait for a vehicle that is still on the way, or does not report."""
     state = f"phase {status.phase}" if status else "no new report"
     text = f"not {goal.text} within {timeout_s:g} s: {state}; the action goes on"
@@ -181,7 +181,7 @@ def _obstacle(name: CommandName, status: Status, operator: str) -> Notice | None
     return status.refuses_return if name is CommandName.RETURN else None
 
 
-def divided(name: CommandName, outcomes: Mapping[int, Outcome]) -> Notice | None:
+def advise_divided_fleet(name: CommandName, outcomes: Mapping[int, Outcome]) -> Notice | None:
     """What to do where some vehicles began and others refused after the check; None where the fleet is not divided."""
     begun = [i for i, outcome in outcomes.items() if outcome.kind is AnswerKind.ACCEPTED]
     rest = [i for i in outcomes if i not in begun]

@@ -15,11 +15,11 @@ from companion.config.file import read_regular
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
 from companion.config.vehicle import ground_endpoints
-from companion.ground.answers import AnswerKind, answer_lines, answers_as_data, end_lines, wrapped
+from companion.ground.answers import AnswerKind, answer_lines, answers_as_data, end_lines, wrap_text
 from companion.ground.changes import FleetAction
 from companion.ground.commands import OperateError, OperatorCommands, Sent, check_content, statuses_of, wait_for
 from companion.ground.current_fleet import simulation_endpoints, unreachable
-from companion.ground.goals import Goal, divided, goal_of
+from companion.ground.goals import Goal, advise_divided_fleet, goal_of
 from companion.ground.reports import readiness_as_data, readiness_lines, readiness_of, status_as_data, status_lines
 from companion.ground.session import FleetSession
 from companion.security.names import ParticipantRole
@@ -162,13 +162,13 @@ def _command(session: FleetSession, request: FleetRequest, commands: OperatorCom
     goal = goal_of(sent.name, sent.content, sent.running) if request.wait else None
     if goal and any(outcome.kind is AnswerKind.ACCEPTED for outcome in sent.outcomes.values()):
         sent = _waited(session, request, sent, goal)
-    advice = divided(sent.name, sent.outcomes)
+    advice = advise_divided_fleet(sent.name, sent.outcomes)
     if request.as_json:
         more = {"advice": str(advice)} if advice else {}
         data = answers_as_data(sent.outcomes)
         _print_json(request, data, operator=session.operator, unreachable=failed_endpoints, **more)
     elif advice:
-        _print(wrapped("", str(advice)))
+        _print(wrap_text("", str(advice)))
     return EXIT_ALL if all(outcome.good for outcome in sent.outcomes.values()) else EXIT_SOME
 
 
@@ -182,11 +182,11 @@ def _waited(session: FleetSession, request: FleetRequest, sent: Sent, goal: Goal
 
 
 def _show_progress(line: str) -> None:
-    print("\n".join(wrapped("", line)), file=sys.stderr, flush=True)
+    print("\n".join(wrap_text("", line)), file=sys.stderr, flush=True)
 
 
 def _endpoint_lines(failed: dict[str, str]) -> list[str]:
-    return [line for endpoint, reason in failed.items() for line in wrapped(f"unreachable: {endpoint}: ", reason)]
+    return [line for endpoint, reason in failed.items() for line in wrap_text(f"unreachable: {endpoint}: ", reason)]
 
 
 def _print(lines: Sequence[str]) -> None:

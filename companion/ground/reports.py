@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from companion.config.fleet import FleetConfig
-from companion.ground.answers import AnswerKind, wrapped
+from companion.ground.answers import AnswerKind, wrap_text
 from companion.ground.fleet_state import formation_text, reference_text
 from companion.types.flight import BATTERY_FLAGS, FLAG_TEXTS, HealthFlag, Role
 from companion.types.notices import Code, Notice
@@ -23,33 +23,24 @@ def readiness_lines(checks: Mapping[int, Sequence[Check]], silent: Sequence[int]
     lines = []
     for vehicle_id in sorted({*checks, *silent}):
         if vehicle_id in silent:
-            lines += wrapped(f"vehicle {vehicle_id}  {AnswerKind.MISSING}  ", str(no_report(wait_s)))
+            lines += wrap_text(f"vehicle {vehicle_id}  {AnswerKind.MISSING}  ", str(no_report(wait_s)))
             continue
         ready = all(check.passed for check in checks[vehicle_id])
         warned = ready and any(check.warnings for check in checks[vehicle_id])
         lines.append(f"vehicle {vehicle_id}  {'ready' if ready else 'not ready'}{', with warnings' if warned else ''}")
         for check in checks[vehicle_id]:
-            lines += wrapped(f"  {check.name:<11} {'ok' if check.passed else '--'}  ", check.found)
+            lines += wrap_text(f"  {check.name:<11} {'ok' if check.passed else '--'}  ", check.found)
     return lines
 
 
 def readiness_as_data(checks: Mapping[int, Sequence[Check]], silent: Sequence[int]) -> list[dict[str, Any]]:
     """`checks` is empty for a vehicle without a report; `codes` of a check is empty where it passed."""
-    data = {
-        vehicle_id: [
-            {
-                "check": c.name,
-                "passed": c.passed,
-                "codes": list(c.codes),
-                "warnings": list(c.warnings),
-                "found": c.found,
-            }
-            for c in of_one
-        ]
-        for vehicle_id, of_one in checks.items()
-    }
     return [
-        {"vehicle_id": i, "ready": i in checks and all(c.passed for c in checks[i]), "checks": data.get(i, [])}
+        {
+            "vehicle_id": i,
+            "ready": i in checks and all(check.passed for check in checks[i]),
+            "checks": [check.as_data() for check in checks.get(i, ())],
+        }
         for i in sorted({*checks, *silent})
     ]
 
@@ -59,7 +50,7 @@ def status_lines(statuses: Mapping[int, Status], silent: Sequence[int], wait_s: 
     lines = []
     for vehicle_id in sorted({*statuses, *silent}):
         if vehicle_id in silent:
-            lines += wrapped(f"vehicle {vehicle_id:<3} {AnswerKind.MISSING}  ", str(no_report(wait_s)))
+            lines += wrap_text(f"vehicle {vehicle_id:<3} {AnswerKind.MISSING}  ", str(no_report(wait_s)))
         else:
             lines += _status_lines(statuses[vehicle_id])
     return lines
@@ -83,9 +74,9 @@ def _status_lines(status: Status) -> list[str]:
     event = [UNSECURED] if status.network.security == "none" else []
     event += [str(status.last_event)] if status.last_event else []
     return [
-        *wrapped(f"vehicle {status.vehicle_id:<3} ", state),
-        *wrapped(INDENT, flown),
-        *(line for text in event for line in wrapped(INDENT, text)),
+        *wrap_text(f"vehicle {status.vehicle_id:<3} ", state),
+        *wrap_text(INDENT, flown),
+        *(line for text in event for line in wrap_text(INDENT, text)),
     ]
 
 
@@ -126,6 +117,10 @@ class Check:
     @property
     def passed(self) -> bool:
         return not self.codes
+
+    def as_data(self) -> dict[str, Any]:
+        named = {"check": self.name, "passed": self.passed, "codes": list(self.codes)}
+        return named | {"warnings": list(self.warnings), "found": self.found}
 
 
 def readiness_of(statuses: Mapping[int, Status], fleet: FleetConfig) -> dict[int, tuple[Check, ...]]:

@@ -24,8 +24,8 @@ from companion.ground.changes import (
     ReferenceRequest,
     change_to,
     refusal_of,
-    requested_slots,
-    wanted_reference,
+    resolve_reference_now,
+    resolve_slots,
 )
 from companion.monitor.api import CommandRequest, PathView, Preview
 from companion.types.errors import CompanionError
@@ -183,12 +183,12 @@ def preview_of(wanted: FleetAction, fleet: FleetConfig, statuses: Mapping[int, S
             return Preview(refused=f"no report of vehicle {', '.join(silent)}; all vehicles get new slots")
         return _formation(wanted.formation, fleet, [statuses[member.id] for member in fleet.vehicles])
     assert wanted.reference is not None
-    return _reference(wanted_reference(wanted.reference, statuses.values()), fleet, list(statuses.values()))
+    return _reference(resolve_reference_now(wanted.reference, statuses.values()), fleet, list(statuses.values()))
 
 
 def _formation(request: FormationRequest, fleet: FleetConfig, statuses: Sequence[Status]) -> Preview:
     has_height = fleet.law.altitude == "formation"
-    slots_enu_m = requested_slots(request, statuses, fleet)
+    slots_enu_m = resolve_slots(request, statuses, fleet)
     flown_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
     closest_m, _, _ = closest_approach(
         {i: to_separation_metric(slot, has_height) for i, slot in flown_enu_m.items()},

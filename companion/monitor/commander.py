@@ -13,7 +13,7 @@ from companion.ground.answers import AnswerKind, Outcome, TimedReply, id_list, o
 from companion.ground.changes import FleetAction
 from companion.ground.commands import OperateError, OperatorCommands, check_content
 from companion.ground.fleet_state import SILENT_AFTER_S
-from companion.ground.goals import divided
+from companion.ground.goals import advise_divided_fleet
 from companion.ground.reports import Check, no_report, readiness_of
 from companion.ground.session import FleetSession
 from companion.monitor.api import AnswerView, CommandRequest, CommandResult, Preview
@@ -137,7 +137,7 @@ class Commander:
             sent = OperatorCommands(session, self._fleet, WAIT_S).send(wanted)
         except EndedError as error:
             return CommandResult(wanted.name, _views(session.outcomes()), error=str(error))
-        advice = divided(sent.name, sent.outcomes)
+        advice = advise_divided_fleet(sent.name, sent.outcomes)
         return CommandResult(wanted.name, _views(sent.outcomes), str(advice) if advice else "")
 
     def _doctor(self, ids: list[int]) -> CommandResult:

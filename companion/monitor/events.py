@@ -65,17 +65,17 @@ class EventLog:
         return tuple(reversed(found))
 
 
-def answered(time_s: float, fleet: str, reply: CommandReply) -> Happening:
+def describe_reply(time_s: float, fleet: str, reply: CommandReply) -> Happening:
     """The reply of a vehicle."""
     text = f"{'accepted' if reply.accepted else 'refused'} for {reply.operator}: {reply.reason}"
     return Happening(time_s, fleet, reply.vehicle_id, "answer", reply.code, text)
 
 
-def commanded(time_s: float, fleet: str, vehicle_id: int | None, command: Command) -> Happening:
+def describe_command(time_s: float, fleet: str, vehicle_id: int | None, command: Command) -> Happening:
     return Happening(time_s, fleet, vehicle_id, "command", command.name, f"{command.operator}: {command.name}")
 
 
-def happened(before: Status, after: Status) -> Iterator[tuple[Kind, str, str]]:
+def compare_reports(before: Status, after: Status) -> Iterator[tuple[Kind, str, str]]:
     """(kind, code, text) of what two reports of a vehicle, one after the other, show. Its agent reports its last event only."""
     event = after.last_event if after.last_event != before.last_event else None
     if after.session != before.session:

@@ -96,13 +96,13 @@ def _recording(folder: Path, session: FleetSession, fleet: FleetConfig | None, s
 
 
 def _show_recording(options: LivePage, folder: Path, address: Address) -> None:
-    from companion.monitor.recordings import NoFlightError, recorded_flight
+    from companion.monitor.recordings import NoFlightError, read_flight
     from companion.recording.reader import RecordingError
 
     if options.control or options.record is not None:
         raise MonitorError("--replay shows a recorded flight: it goes with neither --control nor --record")
     try:
-        flight = recorded_flight(folder, lambda line: print(line, file=sys.stderr))
+        flight = read_flight(folder, lambda line: print(line, file=sys.stderr))
     except (RecordingError, NoFlightError) as error:
         raise MonitorError(f"--replay: {error}") from error
     fleets = with_file(flight.fleets, options)

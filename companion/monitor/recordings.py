@@ -12,7 +12,7 @@ from pathlib import Path
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
 from companion.ground.session import FleetSession
-from companion.monitor.events import Happening, answered, commanded
+from companion.monitor.events import Happening, describe_command, describe_reply
 from companion.monitor.sources import ReplaySource, TimedReport
 from companion.recording.alignment import APART_S, RecordingClock, align, of_one_flight
 from companion.recording.codec import recorded_fleet
@@ -41,7 +41,7 @@ class NoFlightError(CompanionError):
     """Recordings without anything to show. str() is one line."""
 
 
-def recorded_flight(folder: Path, warn: Warn, clock_s: Callable[[], float] = time.monotonic) -> RecordedFlight:
+def read_flight(folder: Path, warn: Warn, clock_s: Callable[[], float] = time.monotonic) -> RecordedFlight:
     """`warn` gets a line for each file that is damaged. `clock_s` is the machine's clock, by which it is played.
 
     Raises recording.reader.RecordingError and NoFlightError.
@@ -100,9 +100,9 @@ def _happenings(recorded: Sequence[tuple[Recording, RecordingClock]], warn: Warn
                 continue
             seen.add(key)
             if message.topic == COMMAND:
-                yield commanded(time_s, fleet, vehicle_id, value)
+                yield describe_command(time_s, fleet, vehicle_id, value)
             else:
-                yield answered(time_s, fleet, value)
+                yield describe_reply(time_s, fleet, value)
 
 
 def _fleets(recorded: Sequence[Recording], warn: Warn) -> dict[str, FleetConfig]:

@@ -11,7 +11,7 @@ import secrets
 import signal
 import socket
 import sys
-from collections.abc import Coroutine, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 import msgspec
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
+from msgspec import Struct
 
 from companion.monitor import MonitorError
 from companion.monitor.access import (
@@ -115,20 +116,16 @@ class Site:
         return _json(ControlView(self._commander is not None and has_token(request, self._token)))
 
     async def _command(self, request: web.Request) -> web.StreamResponse:
-        if self._commander is None or not has_token(request, self._token):
-            return error(403, WRONG_TOKEN if self._commander else VIEW_ONLY)
-        wanted = await _body(request, CommandRequest)
-        if isinstance(wanted, web.Response):
-            return wanted
-        return _json(await self._commander.send(wanted))
+        return await self._by_commander(request, Commander.send)
 
     async def _preview(self, request: web.Request) -> web.StreamResponse:
+        return await self._by_commander(request, Commander.preview)
+
+    async def _by_commander(self, request: web.Request, act: Callable[..., Awaitable[Struct]]) -> web.StreamResponse:
         if self._commander is None or not has_token(request, self._token):
             return error(403, WRONG_TOKEN if self._commander else VIEW_ONLY)
         wanted = await _body(request, CommandRequest)
-        if isinstance(wanted, web.Response):
-            return wanted
-        return _json(await self._commander.preview(wanted))
+        return wanted if isinstance(wanted, web.Response) else _json(await act(self._commander, wanted))
 
     async def _tile(self, request: web.Request) -> web.StreamResponse:
         return await tile(request, self._tiles)
@@ -145,7 +142,7 @@ class Site:
         return web.Response(body=body, headers={"Content-Type": CONTENT_TYPE})
 
 
-def _json(value: msgspec.Struct) -> web.Response:
+def _json(value: Struct) -> web.Response:
     return web.Response(body=_encoder.encode(value), content_type="application/json")
 
 

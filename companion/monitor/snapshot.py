@@ -32,7 +32,7 @@ from companion.monitor.api import (
     Snapshot,
     VehicleView,
 )
-from companion.monitor.events import EventLog, happened
+from companion.monitor.events import EventLog, compare_reports
 from companion.monitor.fleet_figures import FleetFigures
 from companion.monitor.vehicle_view import is_old, vehicle_view
 from companion.types.autopilot import LandedState
@@ -86,7 +86,7 @@ class Picture:
             self._state = fold(self._state, report, arrived_s)
             self._arrivals.setdefault(key, deque(maxlen=TIMES_KEPT)).append(arrived_s)
             if before is not None:
-                for kind, code, text in happened(before.report.status, status):
+                for kind, code, text in compare_reports(before.report.status, status):
                     self.events.add(arrived_s + unix_ahead_s, *key, kind, code, text)
             if not status.armed and status.landed is LandedState.ON_GROUND:
                 self._homes.setdefault(status.fleet, {})[status.vehicle_id] = status.position_enu_m

@@ -12,7 +12,7 @@ from companion.ground.current_fleet import unreachable
 from companion.ground.fleet_state import VehicleKey
 from companion.ground.session import FleetSession
 from companion.monitor.api import ReplayView
-from companion.monitor.events import Happening, answered
+from companion.monitor.events import Happening, describe_reply
 from companion.types.rejections import rejection_text
 from companion.wire.messages import StatusReport
 
@@ -62,7 +62,7 @@ class LiveSource:
 
     def drain_happenings(self) -> list[Happening]:
         """Answers that a command of this program waits for are left out: they are logged with it."""
-        answers = [answered(time.time(), fleet, reply) for fleet, reply in self._session.drain_other_replies()]
+        answers = [describe_reply(time.time(), fleet, reply) for fleet, reply in self._session.drain_other_replies()]
         return answers + self._refusals(time.monotonic())
 
     def _refusals(self, now_s: float) -> list[Happening]:

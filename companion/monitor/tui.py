@@ -29,7 +29,7 @@ from companion.ground.current_fleet import unreachable
 from companion.ground.fleet_state import FleetState, ReportedVehicle, fold, formation_text, reference_text, vehicles_at
 from companion.ground.session import FleetSession
 from companion.monitor import MonitorError
-from companion.monitor.tui_page import Line, Style, fitted_page, page
+from companion.monitor.tui_page import Line, Style, fit_page, page
 from companion.monitor.tui_rows import NO_MEMBERS, Members, fleets
 from companion.types.values import FLEET_NAME
 
@@ -218,7 +218,7 @@ def show_live(
             width, height = console.size
             above = top_lines(time.strftime("%H:%M:%S"), connections.failed, width)
             room = height - len(above)
-            lines = fitted_page(vehicles(), width, room, time.monotonic(), members) or _nothing_yet(endpoints)
+            lines = fit_page(vehicles(), width, room, time.monotonic(), members) or _nothing_yet(endpoints)
             screen.update(as_text([*above, *lines]), refresh=True)
             time.sleep(PERIOD_S)
 

@@ -14,7 +14,7 @@ from math import isfinite
 
 from companion.ground.answers import id_list
 from companion.ground.fleet_state import ReportedVehicle, formation_text, reference_text
-from companion.monitor.tui_rows import NO_MEMBERS, SILENT, FleetRows, Members, TableRow, fleets, grouped, heading
+from companion.monitor.tui_rows import NO_MEMBERS, SILENT, FleetRows, Members, TableRow, fleets, group_problems, heading
 from companion.types.values import printable
 
 NARROWEST = 40
@@ -43,7 +43,7 @@ def page(vehicles: Sequence[ReportedVehicle], width: int, members: Members = NO_
     return [shown for fleet in fleets(vehicles, members) for shown in _fleet(fleet, max(width, NARROWEST))]
 
 
-def fitted_page(
+def fit_page(
     vehicles: Sequence[ReportedVehicle], width: int, height: int, now_s: float, members: Members = NO_MEMBERS
 ) -> list[Line]:
     """At most `height` lines. `now_s`: any clock; it turns the part that is shown."""
@@ -136,7 +136,7 @@ def _row(row: TableRow, columns: Sequence[Column]) -> Line:
 def _notes(fleet: FleetRows, width: int) -> Iterator[Line]:
     """Each problem once, with its vehicles and what to do."""
     of_vehicles = ((row.vehicle.vehicle_id, problem) for row in fleet.rows for problem in row.problems)
-    for problem, vehicle_ids in grouped(of_vehicles):
+    for problem, vehicle_ids in group_problems(of_vehicles):
         style = Style.ALARM if problem.code == SILENT else Style.WARNING
         yield from _wrapped(f"{problem.code}, {id_list(vehicle_ids)}: {problem.text}", "  ", width, style)
         if problem.advice:

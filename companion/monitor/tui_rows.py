@@ -135,7 +135,7 @@ def problems_of(row: ReportedVehicle) -> tuple[VehicleProblem, ...]:
     return (*flags, *(VehicleProblem(notice.code, notice.text, in_flight=False) for notice in row.status.lacks))
 
 
-def grouped(problems: Iterable[tuple[int, VehicleProblem]]) -> list[tuple[VehicleProblem, list[int]]]:
+def group_problems(problems: Iterable[tuple[int, VehicleProblem]]) -> list[tuple[VehicleProblem, list[int]]]:
     """(vehicle id, problem) -> each problem once with the ids of its vehicles; silence first, what keeps from flying last."""
     vehicles: dict[VehicleProblem, list[int]] = {}
     for vehicle_id, problem in problems:

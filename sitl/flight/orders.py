@@ -8,7 +8,7 @@ import msgspec
 from msgspec import Struct
 
 from companion.ground.answers import TimedReply
-from companion.ground.changes import assigned, change_to, named_slots, positions_enu_m, reference_change
+from companion.ground.changes import assign_slots, change_to, named_slots, positions_enu_m, reference_change
 from companion.ground.commands import Clock, CommandSession, give
 from companion.ground.goals import Goal, goal_of, way_left_m
 from companion.types.commands import CommandName, Content, Lead, next_epoch
@@ -184,7 +184,7 @@ def _slots(wanted: FormationStep, statuses: Sequence[Status]) -> Mapping[int, Ve
     if wanted.shape is None or wanted.spacing_m is None:
         return wanted.slots_enu_m
     slots = named_slots(wanted.shape, len(statuses), wanted.spacing_m, wanted.heading_deg)
-    return assigned(positions_enu_m(statuses), slots)
+    return assign_slots(positions_enu_m(statuses), slots)
 
 
 def newest_report(status: Status) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 
 from companion.geometry.curves import PEAK_SPEED
 from companion.geometry.formations import SHAPES, slots_of
-from companion.ground.changes import assigned
+from companion.ground.changes import assign_slots
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import Vector3
 from sitl.gauntlet.fleets import (
@@ -199,7 +199,7 @@ def turning(random: Random, fleet: DrawnFleet) -> FamilyPlan:
 def _way_m(fleet: DrawnFleet, change: Content) -> float:
     """The longest way into a slot of a new shape."""
     slots = slots_of(SHAPES[change["shape"]], fleet.size, fleet.spacing_m, radians(change["heading_deg"]))
-    assigned_m = assigned(fleet.slots_enu_m, slots)
+    assigned_m = assign_slots(fleet.slots_enu_m, slots)
     return max(dist(slot, assigned_m[i]) for i, slot in fleet.slots_enu_m.items())
 
 

@@ -10,7 +10,7 @@ import pytest
 from common import ROOT
 from companion.cli.main import main
 from companion.monitor.api import Snapshot
-from companion.monitor.recordings import NoFlightError, recorded_flight
+from companion.monitor.recordings import NoFlightError, read_flight
 from companion.monitor.snapshot import Picture
 from companion.recording.reader import RecordingError
 from companion.types.flight import FlightPhase
@@ -34,7 +34,7 @@ class Shown:
     def __init__(self, folder: Path) -> None:
         self._now_s = 0.0
         warnings: list[str] = []
-        self.flight = recorded_flight(folder, warnings.append, lambda: self._now_s)
+        self.flight = read_flight(folder, warnings.append, lambda: self._now_s)
         assert warnings == []
         self.picture = Picture(self.flight.fleets, "")
 
@@ -83,7 +83,7 @@ def test_the_report_of_the_flight_has_no_findings(
 
 def test_a_folder_without_a_recording_is_one_line(tmp_path: Path) -> None:
     with pytest.raises((RecordingError, NoFlightError)) as raised:
-        recorded_flight(tmp_path, print)
+        read_flight(tmp_path, print)
     assert "\n" not in str(raised.value)
 
 
@@ -92,5 +92,5 @@ def test_more_statuses_than_can_be_shown_are_one_line(
 ) -> None:
     monkeypatch.setattr("companion.monitor.recordings.MOST_REPORTS", 50)
     with pytest.raises(NoFlightError, match="has more statuses than are shown at once, 50") as raised:
-        recorded_flight(flight[1], print)
+        read_flight(flight[1], print)
     assert "\n" not in str(raised.value)

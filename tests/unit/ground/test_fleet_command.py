@@ -22,12 +22,12 @@ from companion.config.reference import (
 )
 from companion.ground.changes import (
     FleetAction,
-    assigned,
+    assign_slots,
     check_request,
     positions_enu_m,
     refusal_of,
-    requested_reference,
-    requested_slots,
+    resolve_reference,
+    resolve_slots,
 )
 from companion.ground.session import operator_here
 from companion.types.flight import FlightPhase
@@ -145,14 +145,14 @@ def test_a_request_that_cannot_be_used_ends_with_2_and_a_reason(
 def test_a_reference_from_options_equals_that_of_a_file(arguments: list[str], reference: Reference) -> None:
     request = request_of("reference", *arguments, "--fleet", PAIR).reference
     assert request
-    assert requested_reference(request, here_enu_m=(7.0, 8.0, 9.0)) == reference
+    assert resolve_reference(request, here_enu_m=(7.0, 8.0, 9.0)) == reference
 
 
 def test_a_target_needs_a_position_where_no_leader_reports() -> None:
     request = request_of("reference", "target", "--fleet", PAIR).reference
     assert request
     with pytest.raises(ConfigError, match="--at: missing; no leader reports a reference"):
-        requested_reference(request, here_enu_m=None)
+        resolve_reference(request, here_enu_m=None)
 
 
 def test_a_reference_file_holds_only_a_reference(tmp_path: Path) -> None:
@@ -160,13 +160,13 @@ def test_a_reference_file_holds_only_a_reference(tmp_path: Path) -> None:
     request = request_of("reference", "--file", str(file), "--fleet", PAIR).reference
     assert request
     file.write_text("reference: {kind: point, point_enu_m: [1, 2, 3]}\n")
-    assert requested_reference(request, here_enu_m=None) == PointReference((1.0, 2.0, 3.0))
+    assert resolve_reference(request, here_enu_m=None) == PointReference((1.0, 2.0, 3.0))
     file.write_text("reference: {kind: point, point_enu_m: [1, 2]}\n")
     with pytest.raises(ConfigError, match=r"reference\.yaml: reference\.point_enu_m: "):
-        requested_reference(request, here_enu_m=None)
+        resolve_reference(request, here_enu_m=None)
     file.write_text("reference: {kind: point, point_enu_m: [1, 2, 3]}\nname: x\n")
     with pytest.raises(ConfigError, match=r"reference\.yaml: name: unknown key"):
-        requested_reference(request, here_enu_m=None)
+        resolve_reference(request, here_enu_m=None)
 
 
 FLOWN = {1: (1.0, 0.0, 0.5), 2: (-1.0, 0.0, 0.0)}
@@ -176,7 +176,7 @@ def slots_by(*arguments: str) -> dict[int, Vector3]:
     request = request_of("formation", *arguments, "--fleet", PAIR).formation
     assert request
     check_request(request, load_fleet(Path(PAIR)))
-    return requested_slots(request, flying(FlightPhase.FORMATION), load_fleet(Path(PAIR)))
+    return resolve_slots(request, flying(FlightPhase.FORMATION), load_fleet(Path(PAIR)))
 
 
 def flying(phase: FlightPhase, **where_enu_m: Vector3) -> list[Status]:
@@ -190,8 +190,8 @@ def flying(phase: FlightPhase, **where_enu_m: Vector3) -> list[Status]:
 def test_slots_are_assigned_by_position_before_a_formation() -> None:
     crossed = {"v1": (19.0, 5.0, 0.0), "v2": (21.0, 5.0, 0.0)}
     slots = [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)]
-    assert assigned(positions_enu_m(flying(FlightPhase.READY, **crossed)), slots) == {1: slots[1], 2: slots[0]}
-    assert assigned(positions_enu_m(flying(FlightPhase.FORMATION, **crossed)), slots) == {1: slots[0], 2: slots[1]}
+    assert assign_slots(positions_enu_m(flying(FlightPhase.READY, **crossed)), slots) == {1: slots[1], 2: slots[0]}
+    assert assign_slots(positions_enu_m(flying(FlightPhase.FORMATION, **crossed)), slots) == {1: slots[0], 2: slots[1]}
 
 
 def test_positions_are_in_the_frame_of_the_formation() -> None:

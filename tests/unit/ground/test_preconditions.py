@@ -4,7 +4,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.ground.answers import AnswerKind, Outcome
-from companion.ground.goals import check_all, divided
+from companion.ground.goals import advise_divided_fleet, check_all
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.notices import Code, Notice
@@ -81,7 +81,7 @@ def test_a_divided_fleet_is_named_with_the_next_step(name: CommandName, next_ste
         3: outcome(AnswerKind.ACCEPTED),
         4: outcome(AnswerKind.MISSING),
     }
-    advice = divided(name, outcomes)
+    advice = advise_divided_fleet(name, outcomes)
     assert advice
     assert advice.code == Code.FLEET_DIVIDED
     assert f"vehicles 1, 3 began {name}, vehicles 2, 4 did not" in advice.text
@@ -91,5 +91,5 @@ def test_a_divided_fleet_is_named_with_the_next_step(name: CommandName, next_ste
 
 @pytest.mark.parametrize("kinds", [(AnswerKind.ACCEPTED,) * 2, (AnswerKind.REFUSED, AnswerKind.MISSING)])
 def test_a_fleet_that_is_not_divided_needs_no_advice(kinds: tuple[AnswerKind, AnswerKind]) -> None:
-    assert divided(C.TAKEOFF, dict(enumerate(map(outcome, kinds)))) is None
-    assert divided(C.HOLD, {1: outcome(AnswerKind.ACCEPTED), 2: outcome(AnswerKind.REFUSED)}) is None
+    assert advise_divided_fleet(C.TAKEOFF, dict(enumerate(map(outcome, kinds)))) is None
+    assert advise_divided_fleet(C.HOLD, {1: outcome(AnswerKind.ACCEPTED), 2: outcome(AnswerKind.REFUSED)}) is None

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from companion.core.formation.limits import FormationLimits
 from companion.geometry.formations import SHAPES, rotated, slots_of
-from companion.ground.changes import assigned, change_to, refusal_of
+from companion.ground.changes import assign_slots, change_to, refusal_of
 from companion.types.formation import FlownSlot
 from companion.types.tick import Outbox
 from companion.wire.rounding import round_outbox
@@ -30,7 +30,7 @@ def test_vehicles_accept_at_the_largest_speed_what_was_computed_from_their_repor
     statuses = [status for status in sent if status]
     told = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
     change = change_to(
-        assigned(told, slots_of(SHAPES[after], count, SPACING_M, radians(after_deg))), statuses, speed_m_s
+        assign_slots(told, slots_of(SHAPES[after], count, SPACING_M, radians(after_deg))), statuses, speed_m_s
     )
     limits = FormationLimits(SPACING_M, speed_m_s, ((-inf, -inf, -inf), (inf, inf, inf)))
     assert limits.refusal_of_change(flown, dict(change.slots_enu_m), change.lasts_s) is None

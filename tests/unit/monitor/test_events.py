@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from companion.monitor.events import EVENTS_KEPT, EventLog, answered, happened
+from companion.monitor.events import EVENTS_KEPT, EventLog, compare_reports, describe_reply
 from companion.types.commands import CommandReply
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code, Notice
@@ -15,27 +15,27 @@ RESET = Notice(Code.POSITION_RESET, "position reset by 0.4 m followed")
 
 def test_a_new_last_event_is_an_event_once() -> None:
     after = replace(STATUS, last_event=RESET)
-    assert list(happened(STATUS, after)) == [("event", "POSITION_RESET", RESET.text)]
-    assert list(happened(after, after)) == []
+    assert list(compare_reports(STATUS, after)) == [("event", "POSITION_RESET", RESET.text)]
+    assert list(compare_reports(after, after)) == []
 
 
 def test_a_change_of_phase_is_one_event_with_the_text_of_the_agent() -> None:
     notice = Notice(Code.PHASE_CHANGED, "formation -> release: leader lost")
     after = replace(STATUS, phase=FlightPhase.RELEASE, last_event=notice)
-    assert list(happened(STATUS, after)) == [("phase", "PHASE_CHANGED", notice.text)]
+    assert list(compare_reports(STATUS, after)) == [("phase", "PHASE_CHANGED", notice.text)]
 
 
 def test_a_change_of_phase_is_seen_without_its_event() -> None:
     """Another event of the same tick came after it."""
     after = replace(STATUS, phase=FlightPhase.RELEASE, last_event=RESET)
-    assert list(happened(STATUS, after)) == [
+    assert list(compare_reports(STATUS, after)) == [
         ("phase", "PHASE_CHANGED", "formation -> release"),
         ("event", "POSITION_RESET", RESET.text),
     ]
 
 
 def test_a_restart_of_the_agent_is_an_event() -> None:
-    assert [code for _, code, _ in happened(STATUS, replace(STATUS, session=2))] == ["AGENT_STARTED"]
+    assert [code for _, code, _ in compare_reports(STATUS, replace(STATUS, session=2))] == ["AGENT_STARTED"]
 
 
 def test_the_log_gives_what_is_newer_and_forgets_the_oldest() -> None:
@@ -52,6 +52,6 @@ def test_the_log_gives_what_is_newer_and_forgets_the_oldest() -> None:
 
 def test_an_answer_names_the_operator_and_the_reason() -> None:
     reply = CommandReply(1, 3, False, Code.OTHER_HOLDS_COMMAND, "anna@ground holds command", "ben@laptop")
-    found = answered(5.0, "platoon", reply)
+    found = describe_reply(5.0, "platoon", reply)
     assert (found.kind, found.vehicle_id, found.code) == ("answer", 1, "OTHER_HOLDS_COMMAND")
     assert found.text == "refused for ben@laptop: anna@ground holds command"

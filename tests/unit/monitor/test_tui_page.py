@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.monitor.tui_page import TURN_S, fitted_page, page
+from companion.monitor.tui_page import TURN_S, fit_page, page
 from companion.types.flight import HealthFlag, Role
 from companion.types.notices import Code, Notice
 from companion.types.status import NetworkState
@@ -30,18 +30,18 @@ def test_the_whole_picture(width: int) -> None:
 @given(st.integers(40, 260), st.integers(1, 80), st.floats(0.0, 1e6))
 def test_no_line_is_wider_than_the_terminal_and_no_picture_higher(width: int, height: int, now_s: float) -> None:
     for vehicles in (troubled_fleet(), large_fleet()):
-        lines = fitted_page(vehicles, width, height, now_s)
+        lines = fit_page(vehicles, width, height, now_s)
         assert len(lines) <= height
         assert max(len(line.text) for line in lines) <= width
 
 
 def test_where_all_of_it_fits_nothing_is_left_out() -> None:
     vehicles = troubled_fleet()
-    assert fitted_page(vehicles, 80, len(page(vehicles, 80)), 0.0) == page(vehicles, 80)
+    assert fit_page(vehicles, 80, len(page(vehicles, 80)), 0.0) == page(vehicles, 80)
 
 
 def ids_shown(height: int, now_s: float) -> list[int]:
-    lines = (line.text for line in fitted_page(large_fleet(), 80, height, now_s))
+    lines = (line.text for line in fit_page(large_fleet(), 80, height, now_s))
     return [int(text[:3]) for text in lines if text[:3].strip().isdigit()]
 
 
@@ -53,7 +53,7 @@ def test_on_a_low_terminal_vehicles_with_problems_come_first_and_the_others_take
 
 def test_vehicles_with_problems_that_do_not_fit_are_named() -> None:
     vehicles = rows_of(leader(), *(reported(i, flags=(HealthFlag.TICK_LATE,)) for i in range(2, 14)))
-    lines = [line.text for line in fitted_page(vehicles, 80, 12, 0.0)]
+    lines = [line.text for line in fit_page(vehicles, 80, 12, 0.0)]
     assert any("more, with flags: vehicles" in text and "13" in text for text in lines)
 
 
@@ -79,7 +79,7 @@ def test_a_silent_leader_does_not_lead_and_a_silent_position_has_no_distance() -
 def test_a_vehicle_of_the_fleet_file_that_never_reported_is_in_the_heading() -> None:
     vehicles = rows_of(leader(), reported(2))
     expected = {"platoon": frozenset({1, 2, 4}), "other": frozenset({9})}
-    for lines in (page(vehicles, 120, expected), fitted_page(vehicles, 120, 4, 0.0, expected)):
+    for lines in (page(vehicles, 120, expected), fit_page(vehicles, 120, 4, 0.0, expected)):
         assert "NEVER HEARD: vehicle 4" in lines[0].text
     assert "NEVER HEARD" not in page(vehicles, 120)[0].text
 

@@ -16,7 +16,7 @@ from companion.core.formation.limits import FormationLimits
 from companion.core.formation.slots import AGREED_WITHIN_S, SlotPlan
 from companion.geometry.curves import Motion, circle, duration_s, rest_to_rest, waypoint_path
 from companion.geometry.formations import SHAPES, closest_approach, peak_speed_m_s, slots_of, smallest_distance
-from companion.ground.changes import assigned
+from companion.ground.changes import assign_slots
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Code, Notice, accept
@@ -71,7 +71,7 @@ def test_assigned_paths_keep_1_over_sqrt_2_of_the_spacing_between_any_two_shapes
     for before in SHAPES:
         start = dict(enumerate(slots_of(SHAPES[before], n, 3.0, 0.0)))
         for after in SHAPES:
-            goal = assigned(start, slots_of(SHAPES[after], n, 3.0, 0.4))
+            goal = assign_slots(start, slots_of(SHAPES[after], n, 3.0, 0.4))
             assert sorted(goal.values()) == sorted(slots_of(SHAPES[after], n, 3.0, 0.4))
             assert closest_approach(start, goal)[0] >= 3.0 / sqrt(2.0) - 1e-9, (before, after)
 
