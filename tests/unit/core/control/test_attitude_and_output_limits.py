@@ -116,3 +116,12 @@ def test_closed_limiter_passes_no_setpoint() -> None:
 )
 def test_fence_check(position: tuple[float, float, float], inside: bool) -> None:
     assert LIMITS.fence.contains(position) is inside
+
+
+def test_thrust_is_at_most_full_thrust_whatever_hover_needs() -> None:
+    gate, hover_thrust_norm = OutputLimiter(LIMITS), 0.8
+    gate.open_at(0.0, AttitudeTarget(0.0, 0.0, 0.0, 0.8), hover_thrust_norm)
+    for tick in range(1, 50):
+        admitted = gate.admit(0.02 * tick, AttitudeTarget(0.0, 0.0, 0.0, 1.2), hover_thrust_norm)
+    assert admitted is not None
+    assert admitted.thrust_norm == pytest.approx(1.0)

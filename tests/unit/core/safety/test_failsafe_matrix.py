@@ -9,9 +9,22 @@ import pytest
 from common import with_fields
 from companion.core.consensus.peers import PeerState
 from companion.core.consensus.stage import Consensus, LeadView, Neighbours, PeerSets
-from companion.core.safety.failsafe import FAILSAFES, OTHER_FAILSAFES, FailsafeSettings, HealthLimits
+from companion.core.safety.failsafe import (
+    DUPLICATE_FOR_S,
+    FAILSAFES,
+    OTHER_FAILSAFES,
+    FailsafeSettings,
+    HealthLimits,
+    limit_of,
+)
 from companion.core.safety.limits import OutputLimits
-from companion.core.safety.safeguard import SafeguardStage, Safety
+from companion.core.safety.safeguard import (
+    LATE_TICK_S,
+    SILENT_TOO_LONG_S,
+    FailureResponse,
+    SafeguardStage,
+    Safety,
+)
 from companion.geometry.airspace import Fence
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState, PositionError, VehicleState
@@ -480,3 +493,20 @@ def test_steps_without_a_configured_time_are_never_taken() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_audit_judges_every_parameter_that_the_matrix_relies_on(kind: AutopilotKind) -> None:
     assert set(PROFILES[kind].decide_in_silence) <= {rule.name for rule in PROFILES[kind].parameters}
+
+
+# ---------------------------------------------------------------- the table
+
+
+def test_the_table_names_the_values_that_the_code_uses() -> None:
+    rows = {row.condition: row for row in (*FAILSAFES, *OTHER_FAILSAFES)}
+    assert rows[Code.POSITION_STALE].raised == f"position {limit_of(Code.POSITION_STALE):g} s old"
+    assert rows[Code.DUPLICATE_ID].clears == f"{DUPLICATE_FOR_S:g} s without such a packet"
+    assert rows[Code.TICK_LATE].raised == f"a tick {LATE_TICK_S:g} s late"
+    assert rows[Code.NO_SETPOINT].raised == f"{SILENT_TOO_LONG_S:g} s without a setpoint"
+    assert rows[Code.OUTSIDE_FENCE].raised == "at once"
+    assert not [row.condition for row in rows.values() if "{" in row.raised + row.clears]
+
+
+def test_without_a_packet_published_before_a_failure_none_is_published_after_it() -> None:
+    assert FailureResponse().packet(1.0) is None
