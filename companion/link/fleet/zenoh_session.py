@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import zenoh
@@ -151,35 +151,32 @@ def drain(channel: Any, limit: int) -> list[Any]:
 def check_endpoints(kind: str, endpoints: Sequence[str]) -> None:
     """Refuses endpoints that Zenoh would retry without end and without a message. Raises EndpointError."""
     for endpoint in endpoints:
-        _check(kind, endpoint)
-
-
-def _check(kind: str, endpoint: str) -> None:
-    address = re.fullmatch(r"[a-z]+/(?:\[[^\]]+\]|[^/:\s]+):(\d{1,5})(?:[?#].*)?", endpoint)
-    if not address or not 0 < int(address[1]) <= 65535:
-        raise EndpointError(kind, endpoint, "expected PROTOCOL/HOST:PORT, like tcp/192.168.1.11:7447")
+        address = re.fullmatch(r"[a-z]+/(?:\[[^\]]+\]|[^/:\s]+):(\d{1,5})(?:[?#].*)?", endpoint)
+        if not address or not 0 < int(address[1]) <= 65535:
+            raise EndpointError(kind, endpoint, "expected PROTOCOL/HOST:PORT, like tcp/192.168.1.11:7447")
 
 
 def _explain(message: str, listen: Sequence[str], connect: Sequence[str]) -> EndpointError:
     """The error for a message of Zenoh: the endpoint it names, without locations in Zenoh's sources."""
-    kind, endpoint = "listen", ", ".join(listen)
-    for candidate_kind, candidates in (("connect", connect), ("listen", listen)):
-        for candidate in candidates:
-            if candidate.partition("/")[2].partition("?")[0].partition("#")[0] in message:
-                kind, endpoint = candidate_kind, candidate
+    endpoints = [*(("connect", one) for one in connect), *(("listen", one) for one in listen)]
+
+    def error_of(text: str, is_named: Callable[[str], bool]) -> EndpointError:
+        """About the last endpoint that is named; about all where Zenoh listens if none is."""
+        named = [(kind, one) for kind, one in endpoints if is_named(one)]
+        return EndpointError(*(named[-1] if named else ("listen", ", ".join(listen))), text)
+
+    def has_address(endpoint: str) -> bool:
+        return re.split("[?#]", endpoint.partition("/")[2])[0] in message
+
     if "Address already in use" in message:
-        return EndpointError(kind, endpoint, "the port is in use; stop what listens there or choose another port")
+        return error_of("the port is in use; stop what listens there or choose another port", has_address)
     if "Cannot assign requested address" in message:
-        return EndpointError(kind, endpoint, "this machine has no such address; use one of its own, or 0.0.0.0")
-    unsupported = re.search(r"not supported for (\S+) protocol", message)
-    if unsupported:
-        for candidate_kind, candidates in (("listen", listen), ("connect", connect)):
-            for candidate in candidates:
-                if candidate.startswith(unsupported[1] + "/"):
-                    kind, endpoint = candidate_kind, candidate
-        return EndpointError(kind, endpoint, f'unknown protocol "{unsupported[1]}"; use tcp, udp, tls or quic')
+        return error_of("this machine has no such address; use one of its own, or 0.0.0.0", has_address)
+    if unsupported := re.search(r"not supported for (\S+) protocol", message):
+        text = f'unknown protocol "{unsupported[1]}"; use tcp, udp, tls or quic'
+        return error_of(text, lambda endpoint: endpoint.startswith(f"{unsupported[1]}/"))
     reason = re.sub(r"\s+at /\S+", "", " ".join(message.split())).rstrip(".")
-    return EndpointError(kind, endpoint, f"Zenoh cannot use it: {reason}")
+    return error_of(f"Zenoh cannot use it: {reason}", has_address)
 
 
 Keys = tuple[str, ...]
