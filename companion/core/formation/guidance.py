@@ -104,29 +104,23 @@ class GuidanceStage:
             changed = self._changes.step(Situation(now_s, vehicle, flight, consensus, self._slot), commands)
             events += changed.events
         reference_s, leads = consensus.lead.reference_s, consensus.lead.role is LEADER
+        follows = flight.phase is FORMATION and not leads
         held, reference, refusal_to_lead = None, None, None
         if references:
             events += references.update(now_s, reference_s, slots.slots_enu_m, consensus.peers.flying, targets)
             held = references.at(reference_s)
             reference = self._entry.reference(now_s, vehicle, flight, consensus, held, self._slot)
-            refusal_to_lead = references.missing(now_s)
-            if not leads and flight.phase is FORMATION:
-                refusal_to_lead = self._off_fleet(vehicle, held) or refusal_to_lead
+            refusal_to_lead = self._refusal_to_lead(now_s, vehicle, references, held, follows)
         known = held if leads else None
         formed = [peer.sender.vehicle_id for peer in consensus.peers.flying if peer.phase is FORMATION]
         if formed != self._formed:
             self._formed = formed
             self._entry.update(now_s, formed)
-        requests: tuple[PhaseRequest, ...] = ()
-        if flight.phase is not FORMATION:
-            requests = self._enter(now_s, vehicle, flight, consensus, known)
+        requests = () if flight.phase is FORMATION else self._enter(now_s, vehicle, flight, consensus, known)
         events += slots.update(now_s, reference_s, consensus.peers.flying, flight.phase in STREAMING)
         self._slot = slots.flown
         if heading:
-            if consensus.lead.heading is not None and not flight.streams:
-                heading.restart()  # this vehicle does not fly by it, so it may step to the reported one
-            heading.update(now_s, consensus, known if flight.in_formation else None, slots.reach_m)
-            self._slot = turned_slot(slots.flown, heading.flown)
+            self._turn(heading, now_s, flight, consensus, known)
         refusal_to_enter, warning_to_enter = None, None
         if flight.phase in MAY_FORM and _forms(commands):
             refusal_to_enter, warning_to_enter = self._entry.judge_command(
@@ -149,6 +143,27 @@ class GuidanceStage:
             requests=requests,
             events=events,
         )
+
+    def _turn(
+        self,
+        heading: CourseHeading,
+        now_s: float,
+        flight: Flight,
+        consensus: Consensus,
+        known: FormationState | None,
+    ) -> None:
+        """Turn the own slot to the heading of this tick. `known` is R of a leader."""
+        if consensus.lead.heading is not None and not flight.streams:
+            heading.restart()  # this vehicle does not fly by it, so it may step to the reported one
+        heading.update(now_s, consensus, known if flight.in_formation else None, self._slots.reach_m)
+        self._slot = turned_slot(self._slots.flown, heading.flown)
+
+    def _refusal_to_lead(
+        self, now_s: float, vehicle: VehicleState, references: ReferencePlan, held: FormationState, follows: bool
+    ) -> Notice | None:
+        """Why this vehicle must not become leader. `follows`: it flies in formation as a follower."""
+        missing = references.missing(now_s)
+        return (self._off_fleet(vehicle, held) or missing) if follows else missing
 
     def _off_fleet(self, vehicle: VehicleState, held: FormationState) -> Notice | None:
         """The refusal where R of this vehicle is more than MAX_OFF_FLEET_M from the fleet, by its own position.
