@@ -20,14 +20,13 @@ from sitl.paper.flights import (
     broken_s,
     edges_m,
     fewest_in_range,
-    listed,
-    seconds,
+    results,
     total_s,
-    verdict_of,
 )
 from sitl.paper.platoon_claims import AVERAGES, FIRST_M, FITS_M, NAMES, experiment_claims, largest_m, platoon_claims
 from sitl.paper.ring_claims import ring_claims
-from sitl.report.claim import Claim, ClaimVerdict
+from sitl.paper.words import claim_of, listed, seconds, verdict_of
+from sitl.report.claim import Claim
 from sitl.report.metrics import pair_name
 
 LEADER = 1
@@ -109,6 +108,14 @@ class Connectivity:
             return False
         return max(gains_s) > TOLERANCE_S or self.whole > other.whole
 
+    def measured(self) -> dict[str, float]:
+        return {
+            "out_of_sight_s": self.out_s,
+            "leader_alone_s": self.alone_s,
+            "in_parts_s": self.apart_s,
+            "connected_at_end": float(self.whole),
+        }
+
     def text(self) -> str:
         """ "1-2 from 0.08 s to 2.90 s, leader alone for 2.0 s, disconnected at the end", as far as it applies."""
         alone = f", leader alone for {self.alone_s:.1f} s" if self.alone_s else ""
@@ -147,26 +154,21 @@ def _average_fails(book: Book) -> Claim:
         apart_m = entry.figures.final_distance_m
         where = f"at the end {apart_m['1-2']:.1f} m from UAV 2 and {apart_m['1-3']:.1f} m from UAV 3"
         alone = left_s["average_26", model]
-        return f"leader {'never finally alone' if alone == float('inf') else f'alone from {alone:.2f} s on'}; {where}"
+        return f"leader {'never finally alone' if alone == inf else f'alone from {alone:.2f} s on'}; {where}"
 
     ideal_22, full_22 = (outcome(flown["average_22", model]) for model in PERFECT)
     others = f"{ideal_22} with both models" if ideal_22 == full_22 else f"{ideal_22} (ideal) or {full_22} (full)"
     flown_s = min(_duration_s(flown["average_26", model]) for model in PERFECT)
-    return Claim(
-        id="fig-4-average",
-        where="figure 4, left",
-        claim="under the average law the aggregation fails: the followers lose their leader within a few seconds",
-        paper="fails within a few seconds",
-        ideal=result(Model.IDEAL),
-        full=result(Model.FULL),
-        verdict=verdict_of(all(fails.values()), fails["average_26"]),
-        remark=f"Fails means: the leader is alone within {FEW_S:g} s and for the rest of the flight. The results are of "
-        "eq. 26, whose leader does not wait for followers. With the other average law, eq. 22, whose leader uses its "
-        f"neighbours, the aggregation {others}. Flights last {flown_s:.0f} s. Their followers tolerate a lost leader, as in "
-        "the paper; by default our agents hand over to the autopilot's hold after half a second.",
-        measured={f"leader_alone_from_s_{law}_{model}": s for (law, model), s in left_s.items()}
+    return claim_of(
+        "fig-4-average",
+        verdict_of(all(fails.values()), fails["average_26"]),
+        {f"leader_alone_from_s_{law}_{model}": s for (law, model), s in left_s.items()}
         | {f"gathered_average_22_{m}": float(has_gathered(flown["average_22", m])) for m in PERFECT}
         | {"flown_s": flown_s},
+        few_s=FEW_S,
+        others=others,
+        flown_s=flown_s,
+        **results(result),
     )
 
 
@@ -185,21 +187,17 @@ def _weighted_succeeds(book: Book) -> Claim:
         settled = f"settled to 10 cm after {seconds(entry.settle_s)}" if has_gathered(entry) else "does not gather"
         return f"{settled}; {kept} of {len(entry.figures.max_distance_m)} pairs in range at the end"
 
-    return Claim(
-        id="fig-4-weighted",
-        where="figure 4, right",
-        claim="from the same start the aggregation succeeds under the weighted law",
-        paper="succeeds",
-        ideal=result(Model.IDEAL),
-        full=result(Model.FULL),
-        verdict=verdict_of(succeeds and 0 < len(noisy) == noisy_gathered, succeeds),
-        remark=f"UAV 1 starts {spare_mm:.0f} mm within the range of UAV 2 and 3. With estimator errors of some centimetres it "
-        f"succeeds in {noisy_gathered} of {len(noisy)} flights of the full quadrotor, with followers that tolerate a lost "
-        "leader for 10 s.",
-        measured={f"settle_s_{model}": entry.settle_s for model, entry in entries.items()}
+    return claim_of(
+        "fig-4-weighted",
+        verdict_of(succeeds and 0 < len(noisy) == noisy_gathered, succeeds),
+        {f"settle_s_{model}": entry.settle_s for model, entry in entries.items()}
         | {"noisy_flights": float(len(noisy)), "noisy_flights_gathered": float(noisy_gathered)}
         | {f"leader_alone_s_{model}": total_s(alone_s(e.flight, LEADER, range_m(e))) for model, e in entries.items()}
         | {"spare_range_mm": spare_mm, "formation_s": ideal.figures.duration_s},
+        spare_mm=spare_mm,
+        gathered=noisy_gathered,
+        noisy=len(noisy),
+        **results(result),
     )
 
 
@@ -217,37 +215,22 @@ def _weighted_keeps_together(book: Book) -> Claim:
     with_noise = whole["weighted"] > max(whole["average_22"], len(noisy["weighted"]) / 2)
 
     def result(model: Model) -> str:
-        return "edges out of range: " + "; ".join(f"{kept[law, model].text()} ({NAMES[law]})" for law in LAWS)
+        return "; ".join(f"{kept[law, model].text()} ({NAMES[law]})" for law in LAWS)
 
-    return Claim(
-        id="fig-4-robust",
-        where="section 5.1.1",
-        claim="the weighted law preserves connectivity better than the average one",
-        paper="better",
-        ideal=result(Model.IDEAL),
-        full=result(Model.FULL),
-        verdict=verdict_of(all(better.values()) and with_noise, any(better.values())),
-        remark=_comparison_text(better, kept)
-        + " With sensor noise the graph is connected at the end of "
-        + listed(f"{whole[law]} of {len(noisy[law])} flights ({NAMES[law]})" for law in ("weighted", "average_22"))
-        + "."
-        + f" The edges are those of the start, the times those of the first {window_s:.0f} s. With the full model UAV 1 has at "
-        + "least in range: "
-        + listed(f"{_fewest_text(entries[law, Model.FULL])} ({NAMES[law]})" for law in LAWS)
-        + ".",
-        measured={
-            f"{name}_{law}_{m}": value
-            for (law, m), found in kept.items()
-            for name, value in (
-                ("out_of_sight_s", found.out_s),
-                ("leader_alone_s", found.alone_s),
-                ("in_parts_s", found.apart_s),
-                ("connected_at_end", float(found.whole)),
-            )
-        }
+    return claim_of(
+        "fig-4-robust",
+        verdict_of(all(better.values()) and with_noise, any(better.values())),
+        {f"{name}_{law}_{m}": value for (law, m), found in kept.items() for name, value in found.measured().items()}
         | {f"noisy_flights_{law}": float(len(flights)) for law, flights in noisy.items()}
         | {f"noisy_flights_connected_{law}": float(count) for law, count in whole.items()}
         | {"compared_over_s": window_s},
+        comparison=_comparison_text(better, kept),
+        with_noise=listed(
+            f"{whole[law]} of {len(noisy[law])} flights ({NAMES[law]})" for law in ("weighted", "average_22")
+        ),
+        window_s=window_s,
+        fewest=listed(f"{_fewest_text(entries[law, Model.FULL])} ({NAMES[law]})" for law in LAWS),
+        **results(result),
     )
 
 
@@ -288,17 +271,15 @@ def _one_average_law(book: Book) -> Claim:
         return "; ".join(f"{NAMES[law]}: {outcomes[law, model]}, {peaks_m[law, model]:.2f} m" for law in AVERAGES)
 
     fit_4, fit_6 = (listed(NAMES[law] for law in laws) if laws else "neither law" for laws in (figure_4, figure_6))
-    return Claim(
-        id="average-law",
-        where="section 5.1.1",
-        claim="one average law, eq. 26, was used in figure 4 (where it fails) and in figure 6 (up to 1.8 m)",
-        paper="fails and 1.8 m",
-        ideal=result(Model.IDEAL),
-        full=result(Model.FULL),
-        verdict=ClaimVerdict.HOLDS if "average_26" in figure_4 and "average_26" in figure_6 else ClaimVerdict.FAILS,
-        remark=f"With the ideal model figure 4 is matched by {fit_4}, and figure 6 by {fit_6} (to {FITS_M:g} m).",
-        measured={f"largest_d12_m_{law}_{model}": m for (law, model), m in peaks_m.items()}
+    return claim_of(
+        "average-law",
+        verdict_of("average_26" in figure_4 and "average_26" in figure_6),
+        {f"largest_d12_m_{law}_{model}": m for (law, model), m in peaks_m.items()}
         | {f"fails_{law}_{model}": float(outcome_text == "fails") for (law, model), outcome_text in outcomes.items()},
+        fit_4=fit_4,
+        fit_6=fit_6,
+        fits_m=FITS_M,
+        **results(result),
     )
 
 

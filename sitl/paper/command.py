@@ -45,7 +45,7 @@ def _reproduce(options: PaperOptions) -> int:
     """Compute, fly, draw and write the report. Slow imports are made here."""
     from sitl.paper.aggregation_claims import flight_claims
     from sitl.paper.errata import errata
-    from sitl.paper.figures import PICTURES
+    from sitl.paper.figures import SAVED
     from sitl.paper.flights import Book
     from sitl.paper.report import (
         PaperReport,
@@ -66,9 +66,9 @@ def _reproduce(options: PaperOptions) -> int:
             study = study_report(workers, options.full, progress.show)
         progress.begin("drawing")
         book = Book(flown)
-        for number, picture in enumerate(PICTURES):
-            progress.show(number / len(PICTURES))
-            picture.save(options.out / picture.file, book)
+        for number, (file, save) in enumerate(SAVED.items()):
+            progress.show(number / len(SAVED))
+            save(options.out / file, book)
         draw(options.out, study)
     report = PaperReport(
         claims=[*theory, *flight_claims(book)],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -19,7 +19,6 @@ from companion.types.flight import Role
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.paper.graphs import graph_of
-from sitl.report.claim import ClaimVerdict
 from sitl.report.metrics import (
     Formation,
     FormationFigures,
@@ -358,23 +357,6 @@ class Book:
         return found[0]
 
 
-def verdict_of(to_the_letter: bool, with_a_condition: bool = False) -> ClaimVerdict:
-    """HOLDS where the claim holds to the letter, else CONDITION or FAILS by `with_a_condition`."""
-    if to_the_letter:
-        return ClaimVerdict.HOLDS
-    return ClaimVerdict.CONDITION if with_a_condition else ClaimVerdict.FAILS
-
-
-def seconds(value_s: float, digits: int = 1) -> str:
-    return "never" if value_s == float("inf") else f"{value_s:.{digits}f} s"
-
-
-def metres(values_m: Iterable[float], digits: int = 2) -> str:
-    """ "1.75, 1.78 and 1.66 m"."""
-    return listed(f"{value_m:.{digits}f}" for value_m in values_m) + " m"
-
-
-def listed(parts: Iterable[str]) -> str:
-    """ "a, b and c"; empty for nothing."""
-    *most, last = list(parts) or [""]
-    return f"{', '.join(most)} and {last}" if most else last
+def results(text_of: Callable[[Model], str]) -> dict[str, str]:
+    """The result with the ideal model and with the full quadrotor, by the names that the words have for them."""
+    return {"ideal": text_of(Model.IDEAL), "full": text_of(Model.FULL)}

@@ -15,7 +15,8 @@ from companion.analysis.interaction import FloatArray, interaction_matrix
 from companion.analysis.response import Graph, settled_prcs
 from companion.core.consensus.law import FormationLaw, average_22, average_26, neighbour_weights, weighted
 from companion.types.values import Vector3
-from sitl.report.claim import Claim, ClaimVerdict
+from sitl.paper.words import claim_of, verdict_of
+from sitl.report.claim import Claim
 from sitl.study.shapes import ring
 
 Edge = tuple[int, int]
@@ -136,7 +137,7 @@ def united(parts: Iterable[Led]) -> Led:
     return Led(graph, leaders)
 
 
-def described(pair: Led) -> str:
+def describe(pair: Led) -> str:
     """Text: all edges and leaders of a small pair, the size of a large one."""
     n = len(pair.graph)
     edges = [f"{a}-{b}" for a in sorted(pair.graph) for b in sorted(pair.graph[a]) if a < b]
@@ -208,53 +209,42 @@ def eq_27() -> Claim:
     rows = [i for i, row in zip(sorted(graph), off_eq_22, strict=True) if row.max() > EXACT]
     return _matrix_claim(
         "eq-27",
-        "eq. 27",
-        "the interaction matrices of the aggregation, G1 under the average law and G2 under the weighted one",
         graph,
         parts,
-        f"G1 is {'' if is_eq_26 else 'not '}the matrix of eq. 26, whose leader uses no neighbours; eq. 22, the law of the "
-        f"proofs, differs from it by up to {off_eq_22.max():g}, in {len(rows)} of {len(graph)} rows"
-        + (": that of the leader" if rows == [1] else ""),
         {"g1_difference_eq_22": float(off_eq_22.max())},
+        is_or_not="" if is_eq_26 else "not ",
+        off=off_eq_22.max(),
+        rows=len(rows),
+        of_rows=len(graph),
+        which=": that of the leader" if rows == [1] else "",
     )
 
 
 def section_5_2() -> Claim:
     """Both matrices of the ring of four with its leader change."""
     parts = [("led by 1", RING_LED_BY_1, {1}, weighted()), ("led by 2", RING_LED_BY_2, {2}, weighted())]
-    return _matrix_claim(
-        "section-5.2",
-        "section 5.2",
-        "the interaction matrices of the ring of four with leader UAV 1 and with leader UAV 2",
-        ring(4).adjacency(),
-        parts,
-    )
+    return _matrix_claim("section-5.2", ring(4).adjacency(), parts, {})
 
 
 def _matrix_claim(
     claim_id: str,
-    where: str,
-    claim: str,
     graph: Graph,
     parts: list[tuple[str, list[str], set[int], FormationLaw]],
-    remark: str = "",
-    measured: dict[str, float] | None = None,
+    measured: dict[str, float],
+    **values: object,
 ) -> Claim:
     ours = {name: interaction_matrix(graph, leaders, law) for name, _, leaders, law in parts}
     differences = {name: _difference(ours[name], printed) for name, printed, _, _ in parts}
-    entries = sum(matrix.size for matrix in ours.values())
     worst = max(differences.values())
-    matrices = "; ".join(f"{name} = {_text(matrix)}" for name, matrix in ours.items())
-    return Claim(
-        id=claim_id,
-        where=where,
-        claim=claim,
-        paper="; ".join(f"{name} = {_text(printed_matrix(printed))}" for name, printed, _, _ in parts),
-        ideal=f"{matrices}; largest difference of {entries} entries {worst:.1g}",
-        full="-",
-        verdict=ClaimVerdict.HOLDS if worst <= EXACT else ClaimVerdict.FAILS,
-        remark=remark,
-        measured={f"{_key(name)}_largest_difference": value for name, value in differences.items()} | (measured or {}),
+    return claim_of(
+        claim_id,
+        verdict_of(worst <= EXACT),
+        {f"{_key(name)}_largest_difference": value for name, value in differences.items()} | measured,
+        printed="; ".join(f"{name} = {_text(printed_matrix(printed))}" for name, printed, _, _ in parts),
+        matrices="; ".join(f"{name} = {_text(matrix)}" for name, matrix in ours.items()),
+        entries=sum(matrix.size for matrix in ours.values()),
+        worst=worst,
+        **values,
     )
 
 
@@ -265,18 +255,14 @@ def figure_2() -> Claim:
     worst = max(abs(ours.get(j, 0.0) - float(weight)) for j, weight in FIGURE_2_WEIGHTS.items())
     ordered = ours[1] > ours[2] > ours[5] == ours[6]
     right = worst <= EXACT and ordered and ours.keys() == FIGURE_2_WEIGHTS.keys() and distance == 2
-    listed = ", ".join(f"{_fraction(weight)} for {j}" for j, weight in ours.items())
-    return Claim(
-        id="fig-2",
-        where="figure 2, section 3.3",
-        claim="vertex 3 gives its neighbours 1, 2, 5, 6 decreasing weights, equal for 5 and 6; the distance of 1 and 5 is 2",
-        paper="w31 > w32 > w35 = w36; distance 2",
-        ideal=f"{listed}; distance {distance}",
-        full="-",
-        verdict=ClaimVerdict.HOLDS if right else ClaimVerdict.FAILS,
-        remark="the scan lacks the picture: the edges are chosen to fit the text, which determines these weights",
-        measured={f"weight_3_{j}": weight for j, weight in ours.items()}
+    weights = ", ".join(f"{_fraction(weight)} for {j}" for j, weight in ours.items())
+    return claim_of(
+        "fig-2",
+        verdict_of(right),
+        {f"weight_3_{j}": weight for j, weight in ours.items()}
         | {"largest_difference": worst, "distance_1_5_hops": float(distance)},
+        weights=weights,
+        distance=distance,
     )
 
 

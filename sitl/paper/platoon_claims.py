@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import inf
 
 import numpy as np
@@ -14,12 +14,10 @@ from sitl.paper.flights import (
     Entry,
     FlightSubject,
     Model,
-    listed,
-    metres,
     response_s,
-    seconds,
-    verdict_of,
+    results,
 )
+from sitl.paper.words import claim_of, listed, metres, seconds, verdict_of
 from sitl.report.claim import Claim
 from sitl.report.metrics import distances_m, settle_time_s
 
@@ -34,12 +32,12 @@ NAMES: Mapping[str, str] = {"average_22": "eq. 22", "average_26": "eq. 26", "wei
 def platoon_claims(book: Book) -> list[Claim]:
     """All claims in the order of the paper."""
     return [
-        _converges_faster(book),
+        _settles_faster(book, "fig-5-faster", "settle_s", lambda entry: entry.settle_s),
         _average_peak(book),
-        _weighted_first_pair(book),
-        _weighted_other_pairs(book),
+        _stays_below(book, "fig-6-weighted-d12", PAIRS[:1]),
+        _stays_below(book, "fig-6-weighted-d23-d34", PAIRS[1:]),
         _one_peak_is_smaller(book),
-        _distances_settle_faster(book),
+        _settles_faster(book, "fig-6-faster", "distances_settle_s", distance_settle_s),
     ]
 
 
@@ -58,50 +56,16 @@ def exceptions(holds: Mapping[LawName, bool]) -> str:
     )
 
 
-def _converges_faster(book: Book) -> Claim:
-    return _settles_faster(
-        book,
-        "settle_s",
-        lambda entry: entry.settle_s,
-        claim_id="fig-5-faster",
-        where="figure 5",
-        claim="the platoon converges faster under the weighted law than under the average one",
-        remark="Time from the start of the formation until every vehicle stays within 10 cm of its slot. It changes in steps "
-        "of half an oscillation period: amplitudes of 9.9 cm and 10.1 cm give times that differ by seconds.",
-    )
-
-
-def _distances_settle_faster(book: Book) -> Claim:
-    return _settles_faster(
-        book,
-        "distances_settle_s",
-        distance_settle_s,
-        claim_id="fig-6-faster",
-        where="figure 6",
-        claim="the inter-distances reach the desired 1.5 m faster under the weighted law",
-        remark="Time until every neighbouring pair stays within 10 cm of 1.5 m.",
-    )
-
-
 def distance_settle_s(entry: Entry) -> float:
     """Time until every neighbouring pair stays within 10 cm of its desired distance; inf where it never does."""
     flight, desired_m = entry.flight, entry.figures.wanted_distance_m
     times_s = flight.formation.times_s()
     off_m = [np.abs(distances_m(flight.tracks, p, times_s) - desired_m[f"{p[0]}-{p[1]}"]) for p in flight.pairs]
     settled_s = settle_time_s(times_s, np.asarray(np.max(off_m, axis=0)))
-    return float("inf") if settled_s is None else settled_s
+    return inf if settled_s is None else settled_s
 
 
-def _settles_faster(
-    book: Book,
-    name: str,
-    settle_time_of: Callable[[Entry], float],
-    *,
-    claim_id: str,
-    where: str,
-    claim: str,
-    remark: str,
-) -> Claim:
+def _settles_faster(book: Book, claim_id: str, name: str, settle_time_of: Callable[[Entry], float]) -> Claim:
     """Comparison of the weighted law with each average law by a time; `name` is its prefix in `measured`."""
     settle_s = {
         (law, model): settle_time_of(flown_platoon(book, law, model))
@@ -111,63 +75,46 @@ def _settles_faster(
     faster = {law: all(settle_s["weighted", m] < settle_s[law, m] for m in PERFECT) for law in AVERAGES}
 
     def result(model: Model) -> str:
-        others = " and ".join(f"{seconds(settle_s[law, model])} ({NAMES[law]})" for law in AVERAGES)
-        return f"{seconds(settle_s['weighted', model])} against {others}"
+        return (
+            f"{seconds(settle_s['weighted', model])} against {_of_averages(lambda law: seconds(settle_s[law, model]))}"
+        )
 
-    return Claim(
-        id=claim_id,
-        where=where,
-        claim=claim,
-        paper="faster",
-        ideal=result(Model.IDEAL),
-        full=result(Model.FULL),
-        verdict=verdict_of(all(faster.values()), any(faster.values())),
-        remark=remark + exceptions(faster),
-        measured={f"{name}_{law}_{model}": s for (law, model), s in settle_s.items()},
+    return claim_of(
+        claim_id,
+        verdict_of(all(faster.values()), any(faster.values())),
+        {f"{name}_{law}_{model}": s for (law, model), s in settle_s.items()},
+        exceptions=exceptions(faster),
+        **results(result),
     )
+
+
+def _of_averages(text_of: Callable[[LawName], str]) -> str:
+    """The texts of both average laws with their names."""
+    return " and ".join(f"{text_of(law)} ({NAMES[law]})" for law in AVERAGES)
 
 
 def _average_peak(book: Book) -> Claim:
     peak_m = {(law, m): largest_m(flown_platoon(book, law, m), "1-2") for law in AVERAGES for m in PERFECT}
     fits = {key: abs(one_m - FIRST_M) <= FITS_M for key, one_m in peak_m.items()}
     fitting = {m: listed(NAMES[law] for law in AVERAGES if fits[law, m]) or "neither law" for m in PERFECT}
-    stray_m = peak_m["average_26", Model.IDEAL] - FIRST_M
-    return Claim(
-        id="fig-6-average",
-        where="figure 6, left",
-        claim="under the average law the distance of UAV 1 and 2 reaches 1.8 m",
-        paper="1.8 m",
-        ideal=" and ".join(f"{peak_m[law, Model.IDEAL]:.2f} m ({NAMES[law]})" for law in AVERAGES),
-        full=" and ".join(f"{peak_m[law, Model.FULL]:.2f} m ({NAMES[law]})" for law in AVERAGES),
-        verdict=verdict_of(all(fits["average_26", m] for m in PERFECT), any(fits.values())),
-        remark=f"According to the paper this is eq. 26. To {100 * FITS_M:.0f} cm its figure fits {fitting[Model.IDEAL]} with "
-        f"the ideal model and {fitting[Model.FULL]} with the full model; eq. 26 differs by {stray_m:+.2f} m (ideal).",
-        measured={f"largest_d12_m_{law}_{model}": m for (law, model), m in peak_m.items()},
+    return claim_of(
+        "fig-6-average",
+        verdict_of(all(fits["average_26", m] for m in PERFECT), any(fits.values())),
+        {f"largest_d12_m_{law}_{model}": m for (law, model), m in peak_m.items()},
+        fits_cm=100 * FITS_M,
+        fitting_ideal=fitting[Model.IDEAL],
+        fitting_full=fitting[Model.FULL],
+        stray_m=peak_m["average_26", Model.IDEAL] - FIRST_M,
+        **results(lambda model: _of_averages(lambda law: f"{peak_m[law, model]:.2f} m")),
     )
 
 
-def _weighted_first_pair(book: Book) -> Claim:
-    return _stays_below(
-        book, "fig-6-weighted-d12", "under the weighted law the distance of UAV 1 and 2 stays below 1.75 m", PAIRS[:1]
-    )
-
-
-def _weighted_other_pairs(book: Book) -> Claim:
-    claim = "under the weighted law the distances of the pairs 2-3 and 3-4 stay below 1.75 m"
-    return _stays_below(book, "fig-6-weighted-d23-d34", claim, PAIRS[1:])
-
-
-def _stays_below(book: Book, claim_id: str, claim: str, pairs: Sequence[str]) -> Claim:
+def _stays_below(book: Book, claim_id: str, pairs: Sequence[str]) -> Claim:
     """Holds with a condition where the ideal model keeps the paper's figure to the centimetre."""
-    ideal_m, full_m = (
-        {pair: largest_m(flown_platoon(book, "weighted", model), pair) for pair in pairs} for model in PERFECT
-    )
-    over = [
-        f"d{pair.replace('-', '')} by {100 * (m - SMALLER_M):.1f} cm ({model})"
-        for model, found in zip(PERFECT, (ideal_m, full_m), strict=True)
-        for pair, m in found.items()
-        if m >= SMALLER_M
-    ]
+    found_m = {m: {pair: largest_m(flown_platoon(book, "weighted", m), pair) for pair in pairs} for m in PERFECT}
+    ideal_m, full_m = found_m.values()
+    each = [(f"d{pair.replace('-', '')}", model, m) for model, found in found_m.items() for pair, m in found.items()]
+    over = [f"{pair} by {100 * (m - SMALLER_M):.1f} cm ({model})" for pair, model, m in each if m >= SMALLER_M]
     to_the_centimetre = max(ideal_m.values()) < SMALLER_M + READ_TO_M
     remark = f"Above 1.75 m: {listed(over)}." if over else ""
     if over and to_the_centimetre:
@@ -175,20 +122,12 @@ def _stays_below(book: Book, claim_id: str, claim: str, pairs: Sequence[str]) ->
     lag_cm = 100 * max(full_m[pair] - ideal_m[pair] for pair in pairs)
     if over and lag_cm > 0.0:
         remark += f" The attitude lag of the full quadrotor adds up to {lag_cm:.0f} cm."
-    return Claim(
-        id=claim_id,
-        where="figure 6, right",
-        claim=claim,
-        paper="below 1.75 m",
-        ideal=metres(ideal_m.values(), digits=3),
-        full=metres(full_m.values(), digits=3),
-        verdict=verdict_of(not over, to_the_centimetre),
+    return claim_of(
+        claim_id,
+        verdict_of(not over, to_the_centimetre),
+        {f"largest_{pair}_m_{model}": m for pair, model, m in each},
         remark=remark,
-        measured={
-            f"largest_d{pair.replace('-', '')}_m_{model}": m
-            for model, found in zip(PERFECT, (ideal_m, full_m), strict=True)
-            for pair, m in found.items()
-        },
+        **results(lambda model: metres(found_m[model].values(), digits=3)),
     )
 
 
@@ -202,26 +141,15 @@ def _one_peak_is_smaller(book: Book) -> Claim:
     def result(model: Model) -> str:
         return "; ".join(f"{', '.join(found[law, model]) or 'none'} (than {NAMES[law]})" for law in AVERAGES)
 
-    as_stated = {law: all(found[law, model] == ["1-2"] for model in PERFECT) for law in AVERAGES}
-    return Claim(
-        id="fig-6-one-peak",
-        where="figure 6",
-        claim="under the weighted law the peak of d12 is smaller, and those of d23 and d34 are larger",
-        paper="1-2 smaller, 2-3 and 3-4 larger",
-        ideal=f"smaller: {result(Model.IDEAL)}",
-        full=f"smaller: {result(Model.FULL)}",
-        verdict=verdict_of(all(as_stated.values()), any(as_stated.values())),
-        remark="As stated "
-        + ", ".join(
-            f"against {NAMES[law]} with {_of_both(found[law, m] == ['1-2'] for m in PERFECT)}" for law in AVERAGES
-        )
-        + ".",
-        measured={f"peaks_smaller_{law}_{model}": float(len(pairs)) for (law, model), pairs in found.items()},
+    as_stated = {law: sum(found[law, model] == ["1-2"] for model in PERFECT) for law in AVERAGES}  # with so many models
+    both = {law: ("neither model", "one model only", "both models")[as_stated[law]] for law in AVERAGES}
+    return claim_of(
+        "fig-6-one-peak",
+        verdict_of(all(two == 2 for two in as_stated.values()), 2 in as_stated.values()),
+        {f"peaks_smaller_{law}_{model}": float(len(pairs)) for (law, model), pairs in found.items()},
+        against=", ".join(f"against {NAMES[law]} with {both[law]}" for law in AVERAGES),
+        **results(result),
     )
-
-
-def _of_both(models: Iterable[bool]) -> str:
-    return ("neither model", "one model only", "both models")[sum(models)]
 
 
 def experiment_claims(book: Book) -> list[Claim]:
@@ -249,28 +177,24 @@ def _followers_respond_faster(book: Book) -> Claim:
 
     def result(model: Model) -> str:
         each = {law: "/".join(f"{s:.2f}" for s in late_s[law, model]) for law in ("weighted", *AVERAGES)}
-        others = " and ".join(f"{each[law]} s ({NAMES[law]})" for law in AVERAGES)
-        return f"{each['weighted']} s against {others}"
+        return f"{each['weighted']} s against {_of_averages(lambda law: f'{each[law]} s')}"
 
-    return Claim(
-        id="fig-7-response",
-        where="figure 7",
-        claim="UAV 2, 3 and 4 respond faster to UAV 1 under the weighted law",
-        paper="faster",
-        ideal=result(Model.IDEAL),
-        full=result(Model.FULL),
-        verdict=verdict_of(
+    return claim_of(
+        "fig-7-response",
+        verdict_of(
             all(faster.values()) and 0 < len(noisy) == noisy_faster,
             any(faster.values()) or noisy_faster > len(noisy) / 2,
         ),
-        remark="Delay of UAV 2/3/4 behind UAV 1 at half of the distance. With sensor noise all three were faster than under "
-        f"eq. 22 in {noisy_faster} of {len(noisy)} pairs of flights.{exceptions(faster)}",
-        measured={"noisy_pairs": float(len(noisy)), "noisy_pairs_faster": float(noisy_faster)}
+        {"noisy_pairs": float(len(noisy)), "noisy_pairs_faster": float(noisy_faster)}
         | {
             f"behind_uav_1_s_uav_{i}_{law}_{model}": s
             for (law, model), each in late_s.items()
             for i, s in enumerate(each, start=2)
         },
+        noisy_faster=noisy_faster,
+        noisy=len(noisy),
+        exceptions=exceptions(faster),
+        **results(result),
     )
 
 
@@ -300,27 +224,22 @@ def _highest_peak_is_lower(book: Book) -> Claim:
     noisy = _noisy_pairs(book)
     noisy_lower = sum(excess_m(weighted) < excess_m(average) for weighted, average in noisy)
 
-    def result(model: Model) -> str:
-        others = " and ".join(f"{peak_m[law, model]:.2f} m ({NAMES[law]})" for law in AVERAGES)
-        return f"{peak_m['weighted', model]:.2f} m against {others}"
-
-    caveat = _too_close(both_ways_m, not_both_ways) if not_both_ways else ""
-    return Claim(
-        id="fig-8-peak",
-        where="figure 8",
-        claim="the highest peak of the inter-distances is lower under the weighted law",
-        paper="smaller",
-        ideal=result(Model.IDEAL),
-        full=result(Model.FULL),
-        verdict=verdict_of(
+    return claim_of(
+        "fig-8-peak",
+        verdict_of(
             all(lower.values()) and 0 < len(noisy) == noisy_lower and not not_both_ways,
             any(lower.values()) or noisy_lower > len(noisy) / 2,
         ),
-        remark=f"Largest excess over 1.5 m of any neighbouring pair. With sensor noise it was lower than under eq. 22 in "
-        f"{noisy_lower} of {len(noisy)} pairs of flights.{exceptions(lower)}{caveat}",
-        measured={"noisy_pairs": float(len(noisy)), "noisy_pairs_lower": float(noisy_lower)}
+        {"noisy_pairs": float(len(noisy)), "noisy_pairs_lower": float(noisy_lower)}
         | {f"peak_m_{law}_{model}": m for (law, model), m in peak_m.items()}
         | {f"deviation_either_side_m_{law}_{model}": m for (law, model), m in both_ways_m.items()},
+        noisy_lower=noisy_lower,
+        noisy=len(noisy),
+        exceptions=exceptions(lower),
+        caveat=_too_close(both_ways_m, not_both_ways) if not_both_ways else "",
+        **results(
+            lambda m: f"{peak_m['weighted', m]:.2f} m against {_of_averages(lambda law: f'{peak_m[law, m]:.2f} m')}"
+        ),
     )
 
 

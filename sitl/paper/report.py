@@ -17,10 +17,10 @@ from companion.analysis.interaction import FloatArray, interaction_matrix
 from companion.assembly import law_of
 from companion.config.fleet import EdgeNeighbours
 from companion.types.flight import Role
-from sitl.paper.figures import PICTURES, PaperFigure
-from sitl.paper.flights import COMPARED, PERFECT, Book, FlightSubject, FlownPlan, Model, listed
+from sitl.paper.flights import COMPARED, PERFECT, Book, FlightSubject, FlownPlan, Model
 from sitl.paper.graphs import graph_of
 from sitl.paper.platoon_claims import PAIRS
+from sitl.paper.words import listed, words
 from sitl.report.claim import Claim, ClaimVerdict, Erratum
 from sitl.report.metrics import settle_time_s
 from sitl.report.plots import LAW_TITLES
@@ -93,7 +93,7 @@ def as_html(report: PaperReport) -> str:
         report=report,
         summary=verdict_counts(report.claims),
         verdicts=[(verdict, [c for c in report.claims if c.verdict is verdict]) for verdict in ClaimVerdict],
-        pictures=[(picture, _claims_of(picture, by_id)) for picture in PICTURES],
+        figures=[(file, own, [by_id[i] for i in own.claims if i in by_id]) for file, own in words().figures.items()],
         law_titles=LAW_TITLES,
         past_shapes=SHOWN,
     )
@@ -104,10 +104,6 @@ def sentence(text: str) -> str:
     first = text.partition(" ")[0]
     capital = text[:1].upper() + text[1:] if first.isalpha() else text
     return capital if not text or text.endswith(".") else f"{capital}."
-
-
-def _claims_of(picture: PaperFigure, by_id: dict[str, Claim]) -> list[Claim]:
-    return [by_id[claim_id] for claim_id in picture.claim_ids if claim_id in by_id]
 
 
 CHAINS = ("chain-4", "chain-16")

@@ -21,14 +21,13 @@ from sitl.paper.flights import (
     Model,
     behind_leader_m,
     leaderships,
-    listed,
     reported_matrix,
     response_s,
-    seconds,
+    results,
     topology_at,
-    verdict_of,
 )
 from sitl.paper.graphs import EXACT, RING_LED_BY_1, RING_LED_BY_2, hops, printed_matrix
+from sitl.paper.words import claim_of, listed, seconds, verdict_of
 from sitl.report.claim import Claim
 from sitl.report.metrics import distances_m, errors_m, pair_name, reference_positions_m
 
@@ -97,31 +96,18 @@ def _follows_the_8(book: Book) -> Claim:
         errors = f"RMS errors {one.leader_rms_m:.2f} m (leader) and {one.all_rms_m:.2f} m (all)"
         return f"{one.changes} leader changes; every side within {one.side_off_m:.2f} m of its length; {errors}"
 
-    return Claim(
-        id="fig-9",
-        where="figure 9",
-        claim="the formation follows the figure 8 while the leader changes between UAV 1 and UAV 2 (criterion: RMS errors "
-        "below a tenth of the 8's width, below a twentieth for the leader, and every side within a sixth of its length)",
-        paper="follows; no figure",
-        ideal=result(Model.IDEAL),
-        full=result(Model.FULL),
-        verdict=verdict_of(held),
-        remark=f"The 8 is {width_m:g} m wide and a side {side_m:g} m long, so the bounds are {ALL_WITHIN * width_m:.2f} m, "
-        f"{LEADER_WITHIN * width_m:.2f} m for the leader and {SIDE_WITHIN * side_m:.2f} m for a side, as in the paper's figure "
-        "6: 1.75 m instead of 1.5 m. The figures include the leader changes. The law uses r and r' but not r'', so that the "
-        "leader also deviates from the 8 in the bends. Size and speed of the 8 are ours; the paper gives none.",
-        measured={
-            f"{name}_{model}": value
-            for model, one in found.items()
-            for name, value in (
-                ("changes", float(one.changes)),
-                ("side_deviation_m", one.side_off_m),
-                ("leader_rms_m", one.leader_rms_m),
-                ("all_rms_m", one.all_rms_m),
-            )
-        }
+    return claim_of(
+        "fig-9",
+        verdict_of(held),
+        {f"{name}_{model}": value for model, one in found.items() for name, value in one.measured().items()}
         | {"bound_leader_rms_m": LEADER_WITHIN * width_m, "bound_all_rms_m": ALL_WITHIN * width_m}
         | {"bound_side_deviation_m": SIDE_WITHIN * side_m},
+        width_m=width_m,
+        side_m=side_m,
+        all_m=ALL_WITHIN * width_m,
+        leader_m=LEADER_WITHIN * width_m,
+        off_m=SIDE_WITHIN * side_m,
+        **results(result),
     )
 
 
@@ -134,6 +120,14 @@ class _On8:
     side_off_m: float
     leader_rms_m: float
     all_rms_m: float
+
+    def measured(self) -> dict[str, float]:
+        return {
+            "changes": float(self.changes),
+            "side_deviation_m": self.side_off_m,
+            "leader_rms_m": self.leader_rms_m,
+            "all_rms_m": self.all_rms_m,
+        }
 
 
 def _on_the_8(entry: Entry) -> _On8:
@@ -191,20 +185,12 @@ def _reported_weights(book: Book) -> Claim:
     }
     both_led = all({lead.leader_id for lead in each} == PRINTED.keys() for each in spans.values())
 
-    def result(model: Model) -> str:
-        return f"largest difference of an entry {worst[model]:.1g} in {len(spans[model])} leaderships"
-
-    return Claim(
-        id="fig-10-matrices",
-        where="section 5.2",
-        claim="in flight the interaction matrix is that of section 5.2, with UAV 1 and with UAV 2 as the leader",
-        paper="G1 and G2 of section 5.2",
-        ideal=result(Model.IDEAL),
-        full=result(Model.FULL),
-        verdict=verdict_of(both_led and max(worst.values()) <= EXACT),
-        remark="Computed from the roles, PrCs and neighbours reported by the vehicles in flight alone.",
-        measured={f"largest_difference_{model}": off for model, off in worst.items()}
+    return claim_of(
+        "fig-10-matrices",
+        verdict_of(both_led and max(worst.values()) <= EXACT),
+        {f"largest_difference_{model}": off for model, off in worst.items()}
         | {f"leads_{model}": float(len(each)) for model, each in spans.items()},
+        **results(lambda model: f"{worst[model]:.1g} in {len(spans[model])} leaderships"),
     )
 
 
@@ -219,38 +205,24 @@ def _changes_at_once(book: Book) -> Claim:
     def result(model: Model) -> str:
         return f"{seconds(max(late_s[model], default=inf), digits=2)} (the slowest of {len(late_s[model])} changes)"
 
-    return Claim(
-        id="fig-10-at-once",
-        where="figure 10, section 5.2",
-        claim="when the leader changes, all weights change in real time",
-        paper="in real time",
-        ideal=result(Model.IDEAL),
-        full=result(Model.FULL),
-        verdict=verdict_of(all(each and max(each) <= AT_ONCE_S for each in late_s.values())),
-        remark=f"Time from the first report of the new leader until the reported weights are those of section 5.2. In real "
-        f"time means within {AT_ONCE_S:g} s. Reports have a period of 0.1 s; a PrC passes one hop per tick of 0.02 s.",
-        measured={f"weights_follow_lead_s_{model}": max(each, default=inf) for model, each in late_s.items()}
+    return claim_of(
+        "fig-10-at-once",
+        verdict_of(all(each and max(each) <= AT_ONCE_S for each in late_s.values())),
+        {f"weights_follow_lead_s_{model}": max(each, default=inf) for model, each in late_s.items()}
         | {f"changes_{model}": float(len(each)) for model, each in late_s.items()},
+        at_once_s=AT_ONCE_S,
+        **results(result),
     )
 
 
 def _diagonal_is_worst(book: Book) -> Claim:
     errors = {model: errors_by_hops_m(_flown(book, model)) for model in PERFECT}
 
-    def result(model: Model) -> str:
-        return f"{errors[model].get(2, nan):.3f} m against {errors[model].get(1, nan):.3f} m"
-
-    return Claim(
-        id="latency-diagonal",
-        where="section 5.2",
-        claim="the follower that is not connected with the leader has a larger error than the two that are",
-        paper="more significant",
-        ideal=result(Model.IDEAL),
-        full=result(Model.FULL),
-        verdict=verdict_of(all(e.get(2, nan) > e.get(1, nan) for e in errors.values())),
-        remark="RMS distance to the slot relative to the leader, on the 8 over all leaderships: the vehicle opposite to the "
-        "leader, and the two next to it.",
-        measured={f"error_m_{h}_hops_{model}": m for model, e in errors.items() for h, m in e.items()},
+    return claim_of(
+        "latency-diagonal",
+        verdict_of(all(e.get(2, nan) > e.get(1, nan) for e in errors.values())),
+        {f"error_m_{h}_hops_{model}": m for model, e in errors.items() for h, m in e.items()},
+        **results(lambda model: f"{errors[model].get(2, nan):.3f} m against {errors[model].get(1, nan):.3f} m"),
     )
 
 
@@ -263,19 +235,11 @@ def _latency_grows(book: Book) -> Claim:
 
     found = {model: responses(model) for model in PERFECT}
 
-    def result(model: Model) -> str:
-        return "/".join(f"{s:.2f}" for s in found[model]) + " s for UAV 1/2/3/4"
-
-    return Claim(
-        id="latency-hops",
-        where="section 5.2",
-        claim="the latency grows with every further vehicle on the path from the leader",
-        paper="grows",
-        ideal=result(Model.IDEAL),
-        full=result(Model.FULL),
-        verdict=verdict_of(all(sorted(set(each)) == each for each in found.values())),
-        remark="Time to half of the distance, in the platoon of figure 5 under the weighted law.",
-        measured={f"response_s_uav_{i}_{m}": s for m, each in found.items() for i, s in enumerate(each, start=1)},
+    return claim_of(
+        "latency-hops",
+        verdict_of(all(sorted(set(each)) == each for each in found.values())),
+        {f"response_s_uav_{i}_{m}": s for m, each in found.items() for i, s in enumerate(each, start=1)},
+        **results(lambda model: "/".join(f"{s:.2f}" for s in found[model])),
     )
 
 
@@ -300,14 +264,9 @@ def _latency_is_reduced(book: Book) -> Claim:
         )
         return listed(parts)
 
-    return Claim(
-        id="latency-reduced",
-        where="section 5.2",
-        claim="the weighted law reduces the latency of the followers",
-        paper="reduced",
-        ideal=result(Model.IDEAL),
-        full=result(Model.FULL),
-        verdict=verdict_of(less),
-        remark="The same error on the 8, compared with a flight under eq. 22.",
-        measured={f"error_m_{hop}_hops_{law}_{m}": e for (law, m), each in errors.items() for hop, e in each.items()},
+    return claim_of(
+        "latency-reduced",
+        verdict_of(less),
+        {f"error_m_{hop}_hops_{law}_{m}": e for (law, m), each in errors.items() for hop, e in each.items()},
+        **results(result),
     )

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from companion.analysis.interaction import FloatArray, interaction_matrix
 from companion.analysis.response import settled_prcs
 from companion.core.consensus.law import average_22, average_26, weighted
-from sitl.paper.graphs import Led, connected_graphs, described, every_small_pair, random_pairs, random_parts, united
-from sitl.report.claim import Claim, ClaimVerdict, Progress, no_progress
+from sitl.paper.graphs import Led, connected_graphs, describe, every_small_pair, random_pairs, random_parts, united
+from sitl.paper.words import claim_of, verdict_of
+from sitl.report.claim import Claim, Progress, no_progress
 
 UNIONS = 300  # random graphs in parts
 
@@ -25,16 +26,13 @@ def rows_of_g(survey: GraphSurvey) -> Claim:
         role = np.array([1.0 if i in spectra.pair.leaders else 0.0 for i in sorted(spectra.pair.graph)])
         row_error = max(row_error, float(np.abs(matrix.sum(axis=1) - role).max()))
         off_diagonal = max(off_diagonal, float((matrix - np.diag(np.diag(matrix))).max()))
-    return Claim(
-        id="section-2.2",
-        where="section 2.2",
-        claim="no entry of G off its diagonal is positive, and row i adds up to 1 for a leader and to 0 for a follower",
-        paper="properties of a Laplacian",
-        ideal=f"errors of the sums at most {row_error:.0e}, largest entry off the diagonal {off_diagonal:g}, on "
-        f"{survey.extent()}",
-        full="-",
-        verdict=ClaimVerdict.HOLDS if row_error < ROUNDING and off_diagonal <= 0.0 else ClaimVerdict.FAILS,
-        measured=survey.counts() | {"largest_row_sum_error": row_error, "largest_off_diagonal": off_diagonal},
+    return claim_of(
+        "section-2.2",
+        verdict_of(row_error < ROUNDING and off_diagonal <= 0.0),
+        survey.counts() | {"largest_row_sum_error": row_error, "largest_off_diagonal": off_diagonal},
+        row_error=row_error,
+        off_diagonal=off_diagonal,
+        extent=survey.extent(),
     )
 
 
@@ -44,21 +42,20 @@ def lemma_1(survey: GraphSurvey) -> Claim:
     smallest = min(survey.all, key=lambda spectra: spectra.lambda_min)
     in_parts = [_smallest_eigenvalue(united(random_parts(random))) for _ in range(UNIONS)]
     least = min(smallest.lambda_min, *in_parts)
-    return Claim(
-        id="lemma-1",
-        where="Lemma 1",
-        claim="G has only positive eigenvalues if every connected part of the graph has a leader",
-        paper="all positive",
-        ideal=f"smallest {least:.4g}, on {survey.extent()}; and on {UNIONS} random graphs of 2 to 4 parts",
-        full="-",
-        verdict=ClaimVerdict.HOLDS if least > ROUNDING else ClaimVerdict.FAILS,
-        remark=f"the smallest on a connected graph is {smallest.lambda_min:.4g}, on {described(smallest.pair)}",
-        measured=survey.counts()
-        | {
-            "graphs_in_parts": float(UNIONS),
-            "smallest_eigenvalue": least,
-            "smallest_eigenvalue_in_parts": min(in_parts),
-        },
+    measured = {
+        "graphs_in_parts": float(UNIONS),
+        "smallest_eigenvalue": least,
+        "smallest_eigenvalue_in_parts": min(in_parts),
+    }
+    return claim_of(
+        "lemma-1",
+        verdict_of(least > ROUNDING),
+        survey.counts() | measured,
+        least=least,
+        extent=survey.extent(),
+        unions=UNIONS,
+        smallest=smallest.lambda_min,
+        where_smallest=describe(smallest.pair),
     )
 
 
@@ -72,20 +69,22 @@ def lemma_1_converse(survey: GraphSurvey) -> Claim:
         nearest.append(_nearest_to_zero(united([Led(first.graph, frozenset()), *others])))
     largest = max(nearest)
     singular = largest < ROUNDING
-    return Claim(
-        id="lemma-1-converse",
-        where="Lemma 1, section 4.2",
-        claim="a connected part without a leader makes G singular, so that the formation does not converge",
-        paper="a singular G belongs to a disconnected topology",
-        ideal=f"an eigenvalue within {largest:.0e} of zero on each of {len(nearest)} graphs: every connected one of 2 to "
-        f"{survey.most_vertices} vertices without a leader, and {UNIONS} of several parts, one of them without a leader",
-        full="-",
-        verdict=ClaimVerdict.HOLDS if singular else ClaimVerdict.FAILS,
-        remark="so the condition of Lemma 1 is necessary; by Lemma 1 a disconnected graph still converges if each part has a "
-        "leader"
-        if singular
-        else f"not singular on {sum(distance >= ROUNDING for distance in nearest)} of them",
-        measured={"graphs": float(len(nearest)), "largest_distance_from_zero": largest},
+    if singular:
+        remark = (
+            "so the condition of Lemma 1 is necessary; by Lemma 1 a disconnected graph still converges if each part has a"
+            " leader"
+        )
+    else:
+        remark = f"not singular on {sum(distance >= ROUNDING for distance in nearest)} of them"
+    return claim_of(
+        "lemma-1-converse",
+        verdict_of(singular),
+        {"graphs": float(len(nearest)), "largest_distance_from_zero": largest},
+        largest=largest,
+        graphs=len(nearest),
+        vertices=survey.most_vertices,
+        unions=UNIONS,
+        remark=remark,
     )
 
 
@@ -95,23 +94,21 @@ def lemma_2(survey: GraphSurvey) -> Claim:
     asymmetry = max(spectra.asymmetry for spectra in survey.all)
     gap = max(float(np.abs(s.symmetric_eigenvalues - s.eigenvalues).max()) for s in survey.all)
     unsymmetric = sum(1 for s in survey.all if np.abs(s.interaction - s.interaction.T).max() > ROUNDING)
-    return Claim(
-        id="lemma-2",
-        where="Lemma 2",
-        claim="the eigenvalues of G are real although G is not symmetric",
-        paper="real, since T^-1 G T is symmetric",
-        ideal=f"largest imaginary part {imaginary:.1g}; T^-1 G T symmetric within {asymmetry:.0e} and its eigenvalues those of "
-        f"G within {gap:.0e}, on {survey.extent()}",
-        full="-",
-        verdict=ClaimVerdict.HOLDS if max(imaginary, asymmetry, gap) < ROUNDING else ClaimVerdict.FAILS,
-        remark=f"{unsymmetric} of these G are not symmetric",
-        measured=survey.counts()
-        | {
-            "largest_imaginary_part": imaginary,
-            "largest_asymmetry": asymmetry,
-            "largest_gap_of_solvers": gap,
-            "pairs_not_symmetric": float(unsymmetric),
-        },
+    measured = {
+        "largest_imaginary_part": imaginary,
+        "largest_asymmetry": asymmetry,
+        "largest_gap_of_solvers": gap,
+        "pairs_not_symmetric": float(unsymmetric),
+    }
+    return claim_of(
+        "lemma-2",
+        verdict_of(max(imaginary, asymmetry, gap) < ROUNDING),
+        survey.counts() | measured,
+        imaginary=imaginary,
+        asymmetry=asymmetry,
+        gap=gap,
+        extent=survey.extent(),
+        unsymmetric=unsymmetric,
     )
 
 
@@ -122,16 +119,15 @@ def corollary_2(survey: GraphSurvey) -> Claim:
     widest = max(survey.all, key=lambda spectra: round(float(spectra.eigenvalues[-1]), 9))
     most = float(widest.eigenvalues[-1])
     most_one_leader = max(float(spectra.eigenvalues[-1]) for spectra in survey.one_leader)
-    return Claim(
-        id="corollary-2",
-        where="Corollary 2",
-        claim="every eigenvalue of G is larger than 0 and at most 3",
-        paper="0 < lambda <= 3",
-        ideal=f"{least:.4g} to {most:.6g}, with one leader up to {most_one_leader:.6g}, on {survey.extent()}",
-        full="-",
-        verdict=ClaimVerdict.HOLDS if least > ROUNDING and most <= 3.0 + ROUNDING else ClaimVerdict.FAILS,
-        remark=f"the largest eigenvalue is on {described(widest.pair)}",
-        measured=survey.counts() | {"smallest": least, "largest": most, "largest_one_leader": most_one_leader},
+    return claim_of(
+        "corollary-2",
+        verdict_of(least > ROUNDING and most <= 3.0 + ROUNDING),
+        survey.counts() | {"smallest": least, "largest": most, "largest_one_leader": most_one_leader},
+        least=least,
+        most=most,
+        most_one_leader=most_one_leader,
+        extent=survey.extent(),
+        widest=describe(widest.pair),
     )
 
 

@@ -14,7 +14,7 @@ from sitl.paper.graphs import (
     Led,
     aggregation_graph,
     connected_graphs,
-    described,
+    describe,
     diameter,
     hops,
     layered_ring,
@@ -33,7 +33,8 @@ from sitl.paper.spectrum import (
     spectra_of,
     take_survey,
 )
-from sitl.report.claim import Claim, ClaimVerdict, Progress, no_progress
+from sitl.paper.words import claim_of, verdict_of
+from sitl.report.claim import Claim, Progress, no_progress
 from sitl.study.shapes import chain
 
 Prcs = dict[int, int]
@@ -82,26 +83,23 @@ def algorithm_1(survey: GraphSurvey, progress: Progress = no_progress) -> Claim:
     climbs = no_leader["graphs_without_leader_at_n"] == no_leader["graphs_without_leader"]
     good = not wrong and not late and not late_from_any
     pairs = len(survey.all)
-    return Claim(
-        id="algorithm-1",
-        where="Algorithm 1",
-        claim="every vehicle finds p_i = its distance of vertices to the nearest leader + 1 from its neighbours' PrCs alone",
-        paper="p_i = d_i + 1; no statement on the time",
-        ideal=f"correct on {pairs - wrong} of {pairs} pairs, and within diameter + 1 ticks on "
-        f"{pairs - max(late, late_from_any)}, both from p = n and from random PrCs, on {survey.extent()}",
-        full="-",
-        verdict=ClaimVerdict.CONDITION if good and climbs else ClaimVerdict.HOLDS if good else ClaimVerdict.FAILS,
-        remark="line 3 must read p_j(k): as printed every follower stays at n, which is correct on "
-        f"{printed_right} pairs only.{_leader_loss_text(survey.most_vertices) if climbs else ''}",
-        measured=survey.counts()
-        | {
-            "pairs_wrong": float(wrong),
-            "pairs_late": float(late),
-            "pairs_late_from_random_start": float(late_from_any),
-            "slowest_ticks_beyond_diameter_plus_1": float(slowest),
-            "pairs_right_as_printed": float(printed_right),
-        }
-        | no_leader,
+    measured = {
+        "pairs_wrong": float(wrong),
+        "pairs_late": float(late),
+        "pairs_late_from_random_start": float(late_from_any),
+        "slowest_ticks_beyond_diameter_plus_1": float(slowest),
+        "pairs_right_as_printed": float(printed_right),
+    }
+    return claim_of(
+        "algorithm-1",
+        verdict_of(good and not climbs, good),
+        survey.counts() | measured | no_leader,
+        right=pairs - wrong,
+        pairs=pairs,
+        in_time=pairs - max(late, late_from_any),
+        extent=survey.extent(),
+        printed_right=printed_right,
+        loss=_leader_loss_text(survey.most_vertices) if climbs else "",
     )
 
 
@@ -168,22 +166,22 @@ def _proposition_1(survey: GraphSurvey, abscissas: FloatArray) -> Claim:
         for column, gains in enumerate((PAPER_GAINS, *OTHER_GAINS))
     }
     broken = ", ".join(f"{count} pairs with K = {name}" for name, count in beyond.items() if count)
-    return Claim(
-        id="proposition-1",
-        where="Proposition 1",
-        claim="the origin of the error dynamics, eq. 18, is asymptotically stable if the smallest eigenvalue of G is positive",
-        paper="every eigenvalue of eq. 19 left of the bound of eq. 20",
-        ideal=f"spectral abscissa of eq. 19 at most {worst:.3g} 1/s with {len(abscissas[0])} sets of gains, on "
-        f"{survey.extent()}",
-        full="-",
-        verdict=ClaimVerdict.HOLDS if positive and worst < 0.0 else ClaimVerdict.FAILS,
-        remark=f"the bound of eq. 20 itself is exceeded on {broken}: the slowest mode may be an overdamped one of a larger "
-        "eigenvalue"
-        if broken
-        else "the bound of eq. 20 is never exceeded",
-        measured=survey.counts()
+    remark = "the bound of eq. 20 is never exceeded"
+    if broken:
+        remark = (
+            f"the bound of eq. 20 itself is exceeded on {broken}: the slowest mode may be an overdamped one of a larger "
+            "eigenvalue"
+        )
+    return claim_of(
+        "proposition-1",
+        verdict_of(positive and worst < 0.0),
+        survey.counts()
         | {f"largest_abscissa_1_s_{_key(name)}": float(abscissas[:, i].max()) for i, name in enumerate(beyond)}
         | {f"pairs_beyond_eq_20_{_key(name)}": float(count) for name, count in beyond.items()},
+        worst=worst,
+        sets=len(abscissas[0]),
+        extent=survey.extent(),
+        remark=remark,
     )
 
 
@@ -204,33 +202,24 @@ def _corollary_1(survey: GraphSurvey, abscissas: FloatArray) -> Claim:
     worst_name, worst_at = min(
         ((name, int(shares[name].round(6).argmin())) for name in others), key=lambda at: shares[at[0]][at[1]]
     )
-    worst_share = float(shares[worst_name][worst_at])
     broken = "; ".join(f"K = {name} beyond lambda = {limits[name]:g} on {off[name]} pairs" for name in others)
     always = f", so always, for lambda <= {LARGEST_LAMBDA:g}" if limits[paper] > LARGEST_LAMBDA else ""
-    verdict = (
-        ClaimVerdict.FAILS
-        if off[paper]
-        else ClaimVerdict.CONDITION
-        if any(off[name] for name in others)
-        else ClaimVerdict.HOLDS
-    )
-    return Claim(
-        id="corollary-1",
-        where="Corollary 1",
-        claim="for given gains the convergence speed is proportional to the smallest eigenvalue of G",
-        paper="rate proportional to lambda_min",
-        ideal=f"rate = {PAPER_GAINS.velocity_1_s / 2.0:g} lambda_min within {np.abs(shares[paper] - 1.0).max():.0e} with the "
-        f"paper's gains, on {survey.extent()}",
-        full="-",
-        verdict=verdict,
-        remark=f"rate = (k2/2) lambda_min while k2^2 lambda < 4 k1 for every eigenvalue: lambda < {limits[paper]:.3f} with the "
-        f"paper's gains{always}. With other gains it is limited: {broken}; the smallest ratio is {worst_share:.3f}, with "
-        f"K = {worst_name} on {described(survey.all[worst_at].pair)}. This is the asymptotic rate; G is not normal, so errors "
-        "may grow before they decay",
-        measured=survey.counts()
+    return claim_of(
+        "corollary-1",
+        verdict_of(not any(off.values()), not off[paper]),
+        survey.counts()
         | {f"largest_deviation_{_key(name)}": float(np.abs(share - 1.0).max()) for name, share in shares.items()}
         | {f"pairs_not_proportional_{_key(name)}": float(count) for name, count in off.items()}
         | {f"lambda_limit_{_key(name)}": limit for name, limit in limits.items()},
+        half_k2=PAPER_GAINS.velocity_1_s / 2.0,
+        off=np.abs(shares[paper] - 1.0).max(),
+        extent=survey.extent(),
+        limit=limits[paper],
+        always=always,
+        broken=broken,
+        worst_share=float(shares[worst_name][worst_at]),
+        worst_name=worst_name,
+        worst_graph=describe(survey.all[worst_at].pair),
     )
 
 
@@ -264,38 +253,32 @@ def proposition_2_against_22(survey: GraphSurvey) -> Claim:
     """lambda_min(eq. 21) >= lambda_min(eq. 22): the proposition as stated."""
     worse = [spectra for spectra in survey.all if spectra.lambda_min < spectra.lambda_min_22 - ROUNDING]
     equal = sum(1 for spectra in survey.all if abs(spectra.lambda_min - spectra.lambda_min_22) <= ROUNDING)
-    gain = max(survey.all, key=lambda spectra: spectra.lambda_min / spectra.lambda_min_22)
+    ratio = max(spectra.lambda_min / spectra.lambda_min_22 for spectra in survey.all)
     against = contrary()
     fails_there = against.lambda_min < against.lambda_min_22 - ROUNDING
-    verdict = ClaimVerdict.FAILS if worse else ClaimVerdict.CONDITION if fails_there else ClaimVerdict.HOLDS
-    return Claim(
-        id="proposition-2-vs-22",
-        where="Proposition 2, eq. 22",
-        claim="the smallest eigenvalue of G under the weighted law is not below that under the average law, eq. 22",
-        paper="lambda_min(eq. 21) >= lambda_min(eq. 22) on every graph",
-        ideal=f"smaller on {len(worse)} pairs, equal on {equal}, up to {gain.lambda_min / gain.lambda_min_22:.3g} times as "
-        f"large, on {survey.extent()}",
-        full="-",
-        verdict=verdict,
-        remark=_where_it_is_below(worse[0])
-        if worse
-        else _condition_of_proposition_2(survey)
-        if verdict is ClaimVerdict.CONDITION
-        else "",
-        measured=survey.counts()
-        | {
-            "pairs_below": float(len(worse)),
-            "pairs_equal": float(equal),
-            "largest_ratio": gain.lambda_min / gain.lambda_min_22,
-            "contrary_vertices": float(len(against.pair.graph)),
-            "contrary_lambda_min_weighted": against.lambda_min,
-            "contrary_lambda_min_eq_22": against.lambda_min_22,
-        },
+    remark = _where_it_is_below(worse[0]) if worse else _condition_of_proposition_2(survey) if fails_there else ""
+    measured = {
+        "pairs_below": float(len(worse)),
+        "pairs_equal": float(equal),
+        "largest_ratio": ratio,
+        "contrary_vertices": float(len(against.pair.graph)),
+        "contrary_lambda_min_weighted": against.lambda_min,
+        "contrary_lambda_min_eq_22": against.lambda_min_22,
+    }
+    return claim_of(
+        "proposition-2-vs-22",
+        verdict_of(not worse and not fails_there, not worse),
+        survey.counts() | measured,
+        worse=len(worse),
+        equal=equal,
+        ratio=ratio,
+        extent=survey.extent(),
+        remark=remark,
     )
 
 
 def _where_it_is_below(spectra: GraphSpectra) -> str:
-    return f"{spectra.lambda_min:.4f} against {spectra.lambda_min_22:.4f} on {described(spectra.pair)}"
+    return f"{spectra.lambda_min:.4f} against {spectra.lambda_min_22:.4f} on {describe(spectra.pair)}"
 
 
 def _condition_of_proposition_2(survey: GraphSurvey) -> str:
@@ -320,31 +303,31 @@ def proposition_2_against_26(survey: GraphSurvey) -> Claim:
     own = spectra_of(Led(aggregation_graph(), frozenset({1})))
     several = [spectra for spectra in survey.small if len(spectra.pair.leaders) > 1]
     fails = bool(worse) or own.lambda_min < own.lambda_min_26 - ROUNDING
-    return Claim(
-        id="proposition-2-vs-26",
-        where="Proposition 2, eq. 26",
-        claim="the same for eq. 26, whose leader uses no neighbours: the average law of the paper's simulations",
-        paper="stated for average laws in general; proved for eq. 22 only",
-        ideal=f"smaller on {len(worse)} of {len(pairs)} pairs (every connected graph of 2 to {survey.most_vertices} vertices, "
-        f"with every vertex as the leader) and on {len(worse_drawn)} of {len(drawn)} random larger ones; {own.lambda_min:.4f} "
-        f"against {own.lambda_min_26:.4f} on the graph of eq. 27",
-        full="-",
-        verdict=ClaimVerdict.FAILS if fails else ClaimVerdict.HOLDS,
-        remark=f"the worst case is {worst.lambda_min:.4f} against {worst.lambda_min_26:.4f}, on {described(worst.pair)}. The "
-        "leader of eq. 26 uses no neighbours: it settles independently of its followers, and does not wait for them (figure 4)",
-        measured={
-            "pairs": float(len(pairs)),
-            "pairs_below": float(len(worse)),
-            "pairs_random": float(len(drawn)),
-            "pairs_random_below": float(len(worse_drawn)),
-            "pairs_several_leaders": float(len(several)),
-            "pairs_several_leaders_below": float(len(_below_26(several))),
-            "worst_lambda_min_weighted": worst.lambda_min,
-            "worst_lambda_min_eq_26": worst.lambda_min_26,
-            "eq_27_lambda_min_weighted": own.lambda_min,
-            "eq_27_lambda_min_eq_26": own.lambda_min_26,
-            "eq_27_lambda_min_eq_22": own.lambda_min_22,
-        },
+    measured = {
+        "pairs": float(len(pairs)),
+        "pairs_below": float(len(worse)),
+        "pairs_random": float(len(drawn)),
+        "pairs_random_below": float(len(worse_drawn)),
+        "pairs_several_leaders": float(len(several)),
+        "pairs_several_leaders_below": float(len(_below_26(several))),
+        "worst_lambda_min_weighted": worst.lambda_min,
+        "worst_lambda_min_eq_26": worst.lambda_min_26,
+        "eq_27_lambda_min_weighted": own.lambda_min,
+        "eq_27_lambda_min_eq_26": own.lambda_min_26,
+        "eq_27_lambda_min_eq_22": own.lambda_min_22,
+    }
+    return claim_of(
+        "proposition-2-vs-26",
+        verdict_of(not fails),
+        measured,
+        worse=len(worse),
+        pairs=len(pairs),
+        vertices=survey.most_vertices,
+        worse_drawn=len(worse_drawn),
+        drawn=len(drawn),
+        own=own,
+        worst=worst,
+        where_worst=describe(worst.pair),
     )
 
 
@@ -356,22 +339,18 @@ def platoon() -> Claim:
     """lambda_min of the chain 1-2-3-4 with leader 1, under the three laws."""
     least = spectra_of(Led(chain(4).adjacency(), frozenset({1})))
     faster = least.lambda_min > max(least.lambda_min_22, least.lambda_min_26)
-    return Claim(
-        id="platoon-lambda-min",
-        where="section 5.1, scenario 2",
-        claim="the platoon converges faster under the weighted law than under the average one",
-        paper="faster; no figure",
-        ideal=f"lambda_min {least.lambda_min_22:.4f} (eq. 22), {least.lambda_min_26:.4f} (eq. 26), "
-        f"{least.lambda_min:.4f} (weighted)",
-        full="-",
-        verdict=ClaimVerdict.HOLDS if faster else ClaimVerdict.FAILS,
-        remark=f"{least.lambda_min / least.lambda_min_22:.2f} times as fast as eq. 22, "
-        f"{least.lambda_min / least.lambda_min_26:.2f} times as fast as eq. 26",
-        measured={
-            "lambda_min_eq_22": least.lambda_min_22,
-            "lambda_min_eq_26": least.lambda_min_26,
-            "lambda_min_weighted": least.lambda_min,
-        },
+    measured = {
+        "lambda_min_eq_22": least.lambda_min_22,
+        "lambda_min_eq_26": least.lambda_min_26,
+        "lambda_min_weighted": least.lambda_min,
+    }
+    return claim_of(
+        "platoon-lambda-min",
+        verdict_of(faster),
+        measured,
+        of=least,
+        than_22=least.lambda_min / least.lambda_min_22,
+        than_26=least.lambda_min / least.lambda_min_26,
     )
 
 

@@ -11,7 +11,7 @@ import pytest
 from companion.analysis.interaction import FloatArray
 from companion.core.reference.blend import point
 from companion.types.flight import Role
-from sitl.paper.figures import PICTURES
+from sitl.paper.figures import SAVED
 from sitl.paper.flights import (
     FlightSubject,
     Model,
@@ -30,6 +30,7 @@ from sitl.paper.flights import (
 )
 from sitl.paper.graphs import printed_matrix
 from sitl.paper.report import SIGNS, LawRow, PaperReport, as_html, sentence, verdict_counts, versions, write_report
+from sitl.paper.words import words
 from sitl.report.claim import Claim, ClaimVerdict, Erratum
 from sitl.report.metrics import Formation, FormationFlight, Track, standing
 from sitl.report.summary import TopologyChange
@@ -95,10 +96,11 @@ def test_the_page_needs_no_network_and_names_every_figure() -> None:
     page = as_html(report(claim("a", ClaimVerdict.HOLDS)))
     assert not re.search(r"""(src|href)=["']?(https?:)?//""", page)
     assert "url(" not in page
-    for picture in PICTURES:
-        assert f'src="{picture.file}"' in page
-        assert f'href="#{picture.file}"' in page
-        assert f'id="{picture.file}"' in page
+    assert set(SAVED) == set(words().figures)
+    for file in SAVED:
+        assert f'src="{file}"' in page
+        assert f'href="#{file}"' in page
+        assert f'id="{file}"' in page
 
 
 def test_a_figure_is_followed_by_its_claims() -> None:
