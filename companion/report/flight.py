@@ -43,20 +43,17 @@ class TickColumns:
     phase: Words
     role: Words
     leader_id: Floats  # NaN without a leader
-    epoch: Floats
     prc: Floats
     position_enu_m: Floats
     velocity_enu_m_s: Floats
     slot_offset_enu_m: Floats
     reference_enu_m: Floats
     neighbours: Mapping[int, NeighbourUse]
-    acceleration_enu_m_s2: Floats
     nearest_m: Floats
     required_m: Floats
     nearest: Words
     filter_changed_m_s2: Floats
     wind_acceleration_enu_m_s2: Floats
-    hover_thrust_norm: Floats
     battery_percent: Floats
     flags: Mapping[str, Bools]
 
@@ -77,8 +74,6 @@ class TickTiming:
 
     time_s: Floats
     late_ms: Floats
-    decide_ms: Floats
-    whole_ms: Floats
     to_command_ms: Floats
 
 
@@ -90,11 +85,8 @@ class Statuses:
     armed: Bools
     landed: Floats  # LandedState
     mode: Words
-    battery_percent: Floats
     error_horizontal_m: Floats
-    error_vertical_m: Floats
     peers: tuple[frozenset[int], ...]
-    rejected: Floats  # messages rejected since the start
 
     @property
     def in_air(self) -> Bools:
@@ -175,7 +167,6 @@ class FlightRecords:
     vehicles: tuple[VehicleLog, ...]
     begin_unix_s: float
     fleet: FleetConfig | None = None
-    fleet_file: str = ""
     problems: tuple[str, ...] = ()
 
     @property

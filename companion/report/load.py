@@ -6,10 +6,10 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -51,6 +51,7 @@ MOST = {DECISION: 720_000, TIMING: 720_000, STATUS: 100_000, EVENT: 10_000, COMM
 """Records of one start that are read: four hours of ticks, in some 2 GB of memory."""
 LONGEST_S = 86_400.0
 Show = Callable[[str], None]
+T = TypeVar("T")
 
 
 def load(folder: Path, show: Show) -> FlightRecords:
@@ -71,7 +72,7 @@ def load(folder: Path, show: Show) -> FlightRecords:
     header = pairs[0][0].header
     fleet, why_not = fleet_of(header)
     problems = [_without(line, str(folder)) for line in problems]
-    flight = FlightRecords(header.fleet, tuple(logs), begin_s, fleet, header.fleet_file, (*problems, *why_not))
+    flight = FlightRecords(header.fleet, tuple(logs), begin_s, fleet, (*problems, *why_not))
     _check_span(folder, flight)
     return flight
 
@@ -114,29 +115,24 @@ def _read_vehicle(
 
 def _read_start(recording: Recording, folder: str) -> StartRecords:
     problems: list[str] = []
-    files = tuple(_without(str(part.path), folder) for part in recording.parts)
-    records = StartRecords(recording.header, files=files)
-    timed: dict[str, list[tuple[float, Any]]] = {
-        EVENT: records.events,
-        COMMAND: records.commands,
-        REPLY: records.replies,
-    }
-    counts: Counter[str] = Counter()
+    read: dict[str, list[Any]] = {topic: [] for topic in TOPICS}
     for topic, now_s, value in recording.read(TOPICS, problems.append):
-        counts[topic] += 1
-        if counts[topic] > MOST[topic]:
+        if len(read[topic]) == MOST[topic]:
             problems.append(f"after {MOST[topic]} records of {topic} the rest of the recording is left out")
             break
-        if topic == DECISION:
-            records.decisions.append(value)
-        elif topic == TIMING:
-            records.timings.append(value)
-        elif topic == STATUS:
-            records.statuses.append((now_s, value.status))
-        else:
-            timed[topic].append((now_s, value))
+        read[topic].append((now_s, value))
     problems += [f"part {number} of the recording is not here" for number in recording.missing_parts]
-    return replace(records, problems=tuple(_without(line, folder) for line in problems))
+    return StartRecords(
+        recording.header,
+        decisions=[record for _, record in read[DECISION]],
+        timings=[record for _, record in read[TIMING]],
+        statuses=[(now_s, report.status) for now_s, report in read[STATUS]],
+        events=read[EVENT],
+        commands=read[COMMAND],
+        replies=read[REPLY],
+        files=tuple(_without(str(part.path), folder) for part in recording.parts),
+        problems=tuple(_without(line, folder) for line in problems),
+    )
 
 
 def _without(line: str, folder: str) -> str:
@@ -189,19 +185,22 @@ def fleet_of(header: Header) -> tuple[FleetConfig | None, tuple[str, ...]]:
 def vehicle_log(starts: Sequence[StartRecords], clocks: Sequence[ToFlight], aligned: bool = True) -> VehicleLog:
     """One vehicle from its starts in the order of time; `clocks` give the times of the flight for each."""
     both = list(zip(starts, clocks, strict=True))
-    decisions = [(at(record.now_s), record) for start, at in both for record in start.decisions]
-    timings = [(at(record.now_s), record) for start, at in both for record in start.timings]
-    statuses = [(at(time_s), status) for start, at in both for time_s, status in start.statuses]
     return VehicleLog(
         starts[0].header.vehicle_id,
         tuple(_start(start, at) for start, at in both),
-        ticks_of([time_s for time_s, _ in decisions], [record for _, record in decisions]),
-        timing_of([time_s for time_s, _ in timings], [record for _, record in timings]),
-        statuses_of([time_s for time_s, _ in statuses], [status for _, status in statuses]),
+        ticks_of(*_columns((at(one.now_s), one) for start, at in both for one in start.decisions)),
+        timing_of(*_columns((at(one.now_s), one) for start, at in both for one in start.timings)),
+        statuses_of(*_columns((at(time_s), status) for start, at in both for time_s, status in start.statuses)),
         tuple(FlightEvent(at(time_s), one.code, one.text) for start, at in both for time_s, one in start.events),
         tuple(command for start, at in both for command in given_commands(start, at)),
         aligned,
     )
+
+
+def _columns(timed: Iterable[tuple[float, T]]) -> tuple[list[float], list[T]]:
+    """Times, and what is of them."""
+    rows = list(timed)
+    return [time_s for time_s, _ in rows], [one for _, one in rows]
 
 
 def _start(start: StartRecords, at: ToFlight) -> AgentStart:
@@ -212,81 +211,58 @@ def _start(start: StartRecords, at: ToFlight) -> AgentStart:
 
 def given_commands(start: StartRecords, at: ToFlight) -> list[GivenCommand]:
     """Each command once, however often its sender repeated it, with its first answer."""
-    answers: dict[tuple[str, int], tuple[float, CommandReply]] = {}
+    answers: dict[tuple[str, int], dict[str, Any]] = {}
     for time_s, reply in start.replies:
-        answers.setdefault((reply.operator, reply.number), (time_s, reply))
+        answer = {"answered_s": at(time_s), "accepted": reply.accepted, "code": reply.code, "text": reply.reason}
+        answers.setdefault((reply.operator, reply.number), answer)
     given: dict[tuple[str, int], GivenCommand] = {}
-    for time_s, command in start.commands:
-        key = (command.operator, command.number)
-        if key in given:
-            continue
-        given[key] = GivenCommand(at(time_s), command.name, command.number, command.operator)
-        if answer := answers.get(key):
-            answered_s, reply = answer
-            given[key] = replace(
-                given[key],
-                answered_s=at(answered_s),
-                accepted=reply.accepted,
-                code=reply.code,
-                text=reply.reason,
-            )
+    for time_s, one in start.commands:
+        key = (one.operator, one.number)
+        if key not in given:
+            given[key] = GivenCommand(at(time_s), one.name, one.number, one.operator, **answers.get(key, {}))
     return list(given.values())
 
 
+# Columns of the decisions, by what their values are.
+WORDS = ("phase", "role", "nearest")
+NUMBERS = ("leader_id", "prc", "nearest_m", "required_m", "filter_changed_m_s2", "battery_percent")
+VECTORS = (
+    "position_enu_m",
+    "velocity_enu_m_s",
+    "slot_offset_enu_m",
+    "reference_enu_m",
+    "wind_acceleration_enu_m_s2",
+)
 NO_VECTOR = (np.nan, np.nan, np.nan)
 LARGEST = 1e9  # of no quantity in the units of the records is there more
 
 
 def ticks_of(time_s: Sequence[float], records: Sequence[DecisionRecord]) -> TickColumns:
     """The columns of decisions at these times (n,)."""
+    columns: dict[str, Any] = {name: _words(records, name) for name in WORDS}
+    columns |= {name: _numbers(records, name) for name in NUMBERS}
+    columns |= {name: _vectors(records, name) for name in VECTORS}
     return TickColumns(
-        time_s=np.array(time_s, dtype=np.float64),
-        phase=_words(records, "phase"),
-        role=_words(records, "role"),
-        leader_id=_numbers(records, "leader_id"),
-        epoch=_numbers(records, "epoch"),
-        prc=_numbers(records, "prc"),
-        position_enu_m=_vectors(records, "position_enu_m"),
-        velocity_enu_m_s=_vectors(records, "velocity_enu_m_s"),
-        slot_offset_enu_m=_vectors(records, "slot_offset_enu_m"),
-        reference_enu_m=_vectors(records, "reference_enu_m"),
-        neighbours=_neighbours(records),
-        acceleration_enu_m_s2=_vectors(records, "acceleration_enu_m_s2"),
-        nearest=_words(records, "nearest"),
-        nearest_m=_numbers(records, "nearest_m"),
-        required_m=_numbers(records, "required_m"),
-        filter_changed_m_s2=_numbers(records, "filter_changed_m_s2"),
-        wind_acceleration_enu_m_s2=_vectors(records, "wind_acceleration_enu_m_s2"),
-        hover_thrust_norm=_numbers(records, "hover_thrust_norm"),
-        battery_percent=_numbers(records, "battery_percent"),
-        flags=_flags(records),
+        time_s=np.array(time_s, dtype=np.float64), neighbours=_neighbours(records), flags=_flags(records), **columns
     )
 
 
 def timing_of(time_s: Sequence[float], records: Sequence[TimingRecord]) -> TickTiming:
     """The columns of the timing of ticks, in milliseconds."""
-    return TickTiming(
-        np.array(time_s, dtype=np.float64),
-        _numbers(records, "late_us") / 1e3,
-        _numbers(records, "decide_us") / 1e3,
-        _numbers(records, "whole_us") / 1e3,
-        _numbers(records, "telemetry_to_command_us") / 1e3,
-    )
+    late_ms, to_command_ms = (_numbers(records, name) / 1e3 for name in ("late_us", "telemetry_to_command_us"))
+    return TickTiming(np.array(time_s, dtype=np.float64), late_ms, to_command_ms)
 
 
 def statuses_of(time_s: Sequence[float], records: Sequence[Status]) -> Statuses:
     """The columns of status reports."""
     errors = [record.position_error for record in records]
     return Statuses(
-        np.array(time_s, dtype=np.float64),
-        np.array([record.armed for record in records], dtype=np.bool_),
-        np.array([int(record.landed) for record in records], dtype=np.float64),
-        _words(records, "mode_name"),
-        _numbers(records, "battery_percent"),
-        np.array([error.horizontal_m if error else np.nan for error in errors], dtype=np.float64),
-        np.array([error.vertical_m if error else np.nan for error in errors], dtype=np.float64),
-        tuple(frozenset(record.peers) for record in records),
-        np.array([float(sum(record.rejected.values())) for record in records], dtype=np.float64),
+        time_s=np.array(time_s, dtype=np.float64),
+        armed=np.array([record.armed for record in records], dtype=np.bool_),
+        landed=np.array([int(record.landed) for record in records], dtype=np.float64),
+        mode=_words(records, "mode_name"),
+        error_horizontal_m=np.array([error.horizontal_m if error else np.nan for error in errors], dtype=np.float64),
+        peers=tuple(frozenset(record.peers) for record in records),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -16,6 +16,8 @@ from sitl.gauntlet.fleets import SensorsName
 from sitl.gauntlet.flight import SENSOR_FACTOR, FlightOutcome, drawn
 from sitl.report.folder import Column
 
+KEPT = 10  # of the worst flights
+PAGE_FILE = Path(__file__).with_name("page.md")
 IN_TIME = 2.0  # times the undisturbed time
 GRACE_S = 1.0  # more than that, for slots that are near
 ALREADY_THERE_S = 1.0  # who takes less undisturbed was in its slot from the beginning: no time to compare
@@ -123,49 +125,33 @@ def _percentile(values: Sequence[float], percent: float) -> float | None:
     return round(float(np.percentile(values, percent)), 3) if values else None
 
 
-COLUMNS: tuple[Column, ...] = (
-    ("family", "", -20),
-    ("", "flights", 8),
-    ("with", "runaway", 9),
-    ("viola-", "tions", 7),
-    ("worst", "ratio", 7),
-    ("", "1 %", 7),
-    ("", "10 %", 7),
-    ("", "median", 8),
-    ("auto-", "matic", 7),
-    ("vehicles", "to slots", 10),
-    ("", "refused", 9),
-    ("", "left", 6),
-    ("", "reached", 9),
-    ("in", "time", 8),
-    ("excep-", "tions", 8),
-)
-
-
-def cells(s: FamilySummary) -> tuple[str, ...]:
-    return (
-        s.family,
-        str(s.flights),
-        str(s.runaways),
-        str(s.violations),
-        _number(s.worst),
-        _number(s.percent_1),
-        _number(s.percent_10),
-        _number(s.median),
-        _number(s.automatic),
-        str(s.expected),
-        str(s.refused),
-        str(s.left),
-        str(s.reached),
-        f"{100.0 * s.in_time / s.timed:.1f} %" if s.timed else "-",
-        str(s.exceptions),
-    )
+def cells(summary: FamilySummary) -> tuple[str, ...]:
+    """A row of the table."""
+    return tuple(cell(summary) for _, cell in TABLE)
 
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
 
 
+TABLE: tuple[tuple[Column, Callable[[FamilySummary], str]], ...] = (
+    (("family", "", -20), lambda s: s.family),
+    (("", "flights", 8), lambda s: str(s.flights)),
+    (("with", "runaway", 9), lambda s: str(s.runaways)),
+    (("viola-", "tions", 7), lambda s: str(s.violations)),
+    (("worst", "ratio", 7), lambda s: _number(s.worst)),
+    (("", "1 %", 7), lambda s: _number(s.percent_1)),
+    (("", "10 %", 7), lambda s: _number(s.percent_10)),
+    (("", "median", 8), lambda s: _number(s.median)),
+    (("auto-", "matic", 7), lambda s: _number(s.automatic)),
+    (("vehicles", "to slots", 10), lambda s: str(s.expected)),
+    (("", "refused", 9), lambda s: str(s.refused)),
+    (("", "left", 6), lambda s: str(s.left)),
+    (("", "reached", 9), lambda s: str(s.reached)),
+    (("in", "time", 8), lambda s: f"{100.0 * s.in_time / s.timed:.1f} %" if s.timed else "-"),
+    (("excep-", "tions", 8), lambda s: str(s.exceptions)),
+)
+COLUMNS = tuple(column for column, _ in TABLE)
 MEANING = f"""\
 ratio: smallest true distance of a flight in units of separation_m, of pairs where an agent commands at least one vehicle: the
 worst flight and percentiles; automatic: the worst of the other pairs, which both fly by autopilots or pilots; violations:
@@ -176,30 +162,19 @@ as long as there, plus {GRACE_S:g} s; those that left or did not reach them are 
 
 
 def page(seed: int, families: Sequence[FamilySummary], outcomes: Sequence[FlightOutcome]) -> str:
-    """The whole page as Markdown."""
-    return "\n".join(
-        [
-            "# The gauntlet",
-            "",
-            f"<!-- written by `make gauntlet`: {len(outcomes)} flights with seed {seed} -->",
-            "",
-            INTRODUCTION,
-            "",
-            "## Measured",
-            "",
-            f"{len(outcomes)} flights with seed {seed}, {_vehicles(outcomes)}.",
-            "",
-            *_table(families),
-            "",
-            EXPLANATION,
-            "",
-            "## Families",
-            "",
-            "| family | what happens |",
-            "|---|---|",
-            *(f"| `{name}` | {_first_sentence(family.__doc__)} |" for name, family in FAMILIES.items()),
-            "",
-        ]
+    """The whole page as Markdown: `page.md` with the figures in it."""
+    first_s, last_s = RESTARTS_AFTER_S
+    return PAGE_FILE.read_text(encoding="utf-8").format(
+        flights=len(outcomes),
+        seed=seed,
+        vehicles=_vehicles(outcomes),
+        table="\n".join(_table(families)),
+        in_time=IN_TIME,
+        grace_s=GRACE_S,
+        first_s=first_s,
+        last_s=last_s,
+        dead_percent=100 * STAYS_DEAD,
+        families="\n".join(f"| `{name}` | {_first_sentence(family.__doc__)} |" for name, family in FAMILIES.items()),
     )
 
 
@@ -218,50 +193,6 @@ def _first_sentence(text: str | None) -> str:
     return " ".join((text or "").split()).split(". ")[0].rstrip(".")
 
 
-INTRODUCTION = """\
-`sitl gauntlet` flies random flights of whole fleets in virtual time: the agents that fly for real,
-on simulated quadrotors. Each flight draws its fleet (4 to 12 vehicles, shape, spacing,
-`separation_m` from 1 to 2.5 m), the law (`weighted` or `cooperative`), the autopilot, the sensors,
-the network (delay up to 0.1 s with up to 0.05 s jitter, loss up to 10 %), and what happens to it.
-Every tenth flight has a runaway: a pilot takes over one vehicle and flies it straight on at up to
-2 m/s. In a split network it begins while the others receive it: no vehicle can avoid another one
-that begins to move unheard. The seed and the number of a flight give the same flight bit for bit.
-
-```sh
-sitl gauntlet --flights 100 --seed 7           # on all cores, some minutes
-sitl gauntlet --families joining,hovering      # some families only
-sitl gauntlet --fleet fleet.yaml               # your own fleet: its slots, law and limits
-sitl run runs/gauntlet-DATE-TIME/FLIGHT.yaml   # one of the worst flights again, with its plot
-```"""
-
-FIRST_S, LAST_S = RESTARTS_AFTER_S
-EXPLANATION = f"""\
-- **Ratio**: the smallest true distance of a flight in units of `separation_m`, over all pairs where
-  an agent commands the attitude of at least one vehicle. **Automatic** is the worst of all other
-  pairs in the air, which both fly by their autopilots or pilots.
-- **Violation**: a flight with a ratio below 1 with ideal sensors, 0.8 with `default`, 0.6 with
-  `px4_sih`.
-- **Vehicles to slots** were to be in their slots at the end. **Reached**: they were: neither the
-  slot nor a reference that comes to rest moved any more, and they were within 0.5 m of the slot
-  (1 m with `px4_sih`) for 2 s, by their own reports. **Refused**: they were not, and had refused a
-  command of the flight, for example because the path was too near to another vehicle. **Left**: not
-  in formation any more, by a failsafe.
-- **In time**: of the vehicles that fly to their slots in the same flight undisturbed (ideal sensors
-  and network, no runaway, no separation) and refused nothing, the share that took at most
-  {IN_TIME:g} times as long, plus {GRACE_S:g} s. A vehicle that left or did not reach its slot is not in time.
-  Vehicles that were in their slots all the time undisturbed are not counted. Every third flight is
-  flown undisturbed as well.
-- The undisturbed time is at least the duration of the change, of the path into the slot, or of the
-  way of a reference to its place.
-- In `leader_dies` a new agent starts {FIRST_S:g} to {LAST_S:g} s after the end, as systemd starts it on a vehicle.
-  It observes and publishes its position, and the others make way. {100 * STAYS_DEAD:g} % of the PX4 stay without
-  an agent: they brake and hold. No ArduCopter stays without one: it would level and drift, up to
-  0.8 m/s with `px4_sih`, and no other vehicle would know where it is. That the filter cannot avoid."""
-
-
-KEPT = 10
-
-
 def write_worst(
     folder: Path, outcomes: Sequence[FlightOutcome], sensors: SensorsName | None, own: FleetConfig | None
 ) -> list[str]:
@@ -274,10 +205,10 @@ def write_worst(
         scenario = drawn(outcome.seed, outcome.number, sensors, own).scenario
         path = folder / f"{outcome.family}_{outcome.number}.yaml"
         content = yaml.safe_dump(msgspec.to_builtins(scenario), sort_keys=False)
-        path.write_text(f"# {in_a_line(outcome)}\n{content}", encoding="utf-8")
+        path.write_text(f"# {line_of(outcome)}\n{content}", encoding="utf-8")
         if outcome.exception:
             path.with_suffix(".txt").write_text(outcome.exception, encoding="utf-8")
-        lines.append(f"{in_a_line(outcome)}: sitl run {path}")
+        lines.append(f"{line_of(outcome)}: sitl run {path}")
     return lines
 
 
@@ -293,7 +224,7 @@ def _share_of_limit(outcome: FlightOutcome) -> float:
     return outcome.ratio / SENSOR_FACTOR[outcome.sensors]
 
 
-def in_a_line(outcome: FlightOutcome) -> str:
+def line_of(outcome: FlightOutcome) -> str:
     """The flight, and what was worst in it."""
     name = f"flight {outcome.number}, {outcome.family}, {outcome.law}, {outcome.autopilot}, {outcome.sensors}"
     if outcome.exception:

@@ -127,7 +127,7 @@ def flight_of(starts: Sequence[StartRecords], unaligned: Collection[int] = ()) -
         logs.append(vehicle_log(own, [_clock(start) for start in own], vehicle_id not in unaligned))
     header = starts[0].header
     fleet, problems = of_header(header)
-    return FlightRecords(header.fleet, tuple(logs), BEGIN_UNIX_S, fleet, header.fleet_file, problems)
+    return FlightRecords(header.fleet, tuple(logs), BEGIN_UNIX_S, fleet, problems)
 
 
 def _clock(start: StartRecords) -> Callable[[float], float]:
