@@ -120,7 +120,7 @@ def _lines(recordings: Sequence[Recording], warn: Warn) -> dict[tuple[int, int],
     lines: dict[tuple[int, int], ClockLine] = {}
     for a, b in combinations(range(len(recordings)), 2):
         from_a, from_b = received.get(keys[b], {}).get(keys[a]), received.get(keys[a], {}).get(keys[b])
-        line = fitted_line(*from_a, *from_b) if from_a and from_b else _same_boot(recordings[a], recordings[b])
+        line = fit_line(*from_a, *from_b) if from_a and from_b else _same_boot(recordings[a], recordings[b])
         if line:
             lines[a, b], lines[b, a] = line, _reversed(line)
     return lines
@@ -176,7 +176,7 @@ class ClockLine:
     width_s: float
 
 
-def fitted_line(sent_a_s: Floats, received_b_s: Floats, sent_b_s: Floats, received_a_s: Floats) -> ClockLine | None:
+def fit_line(sent_a_s: Floats, received_b_s: Floats, sent_b_s: Floats, received_a_s: Floats) -> ClockLine | None:
     """The line by the messages from a to b and from b to a; None where there are none in one direction."""
     if not len(sent_a_s) or not len(sent_b_s):
         return None

@@ -227,7 +227,7 @@ class FlightFiles:
 _TIME = struct.Struct(">Q")
 
 
-def stamped(packet: bytes, unix_us: int) -> bytes:
+def stamp(packet: bytes, unix_us: int) -> bytes:
     """A packet with its time, which must not be negative."""
     return _TIME.pack(unix_us) + packet
 

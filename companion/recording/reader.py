@@ -13,43 +13,15 @@ from typing import Any, NamedTuple
 
 from companion.recording.codec import RecordError, TopicDecoder, decode_inbox, decode_outbox, header_of, monotonic_s
 from companion.recording.mcap_file import McapFile, RawMessage, UnusableFileError, Warn
-from companion.recording.records import (
-    COMMAND,
-    DECISION,
-    EVENT,
-    FORMAT,
-    GROUND_COMMAND,
-    GROUND_STATUS,
-    INBOX,
-    OUTBOX,
-    REPLY,
-    STATUS,
-    TIMING,
-    DecisionRecord,
-    Header,
-    TimingRecord,
-)
-from companion.types.commands import Command, CommandReply
+from companion.recording.records import FORMAT, INBOX, OUTBOX, TYPES, Header
 from companion.types.errors import CompanionError, UnusableError
-from companion.types.notices import Notice
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import printable
-from companion.wire.messages import StatusReport
 
 MAX_FILES = 10_000
 
-_DECODE: dict[str, Callable[[bytes], Any]] = {
-    INBOX: decode_inbox,
-    OUTBOX: decode_outbox,
-    DECISION: TopicDecoder(DecisionRecord).decode,
-    TIMING: TopicDecoder(TimingRecord).decode,
-    STATUS: TopicDecoder(StatusReport).decode,
-    EVENT: TopicDecoder(Notice).decode,
-    COMMAND: TopicDecoder(Command).decode,
-    REPLY: TopicDecoder(CommandReply).decode,
-    GROUND_STATUS: TopicDecoder(StatusReport).decode,
-    GROUND_COMMAND: TopicDecoder(Command).decode,
-}
+_DECODE: dict[str, Callable[[bytes], Any]] = {topic: TopicDecoder(type_).decode for topic, (_, type_) in TYPES.items()}
+_DECODE |= {INBOX: decode_inbox, OUTBOX: decode_outbox}
 
 
 class RecordingError(UnusableError):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 from math import inf
 from pathlib import Path
@@ -17,7 +17,7 @@ from companion.config.vehicle import AgentConfig
 from companion.core.agent import Decision
 from companion.core.consensus.law import FormationLaw
 from companion.recording.codec import Message, as_json, encode, encode_inbox, encode_outbox, log_time_ns
-from companion.recording.files import GROUND, MB, MCAP, TLOG, FlightFiles, PartFiles, TlogPart, stamped
+from companion.recording.files import GROUND, MB, MCAP, TLOG, FlightFiles, PartFiles, TlogPart, stamp
 from companion.recording.mcap_part import McapPart, MessageChunk, MessageStream
 from companion.recording.records import (
     COMMAND,
@@ -155,7 +155,7 @@ class Recorder:
         """Record a MAVLink packet of either direction."""
         if self.has_failed:
             return
-        self._packets.append(stamped(packet, log_time_ns(self._header, now_s) // 1000))
+        self._packets.append(stamp(packet, log_time_ns(self._header, now_s) // 1000))
 
     @_harmless
     def close(self) -> None:
@@ -253,12 +253,8 @@ def ground_recorder(
         fleet_file=as_json(fleet) if fleet else "",
         vehicle_file="",
     )
-    flight = FlightFiles(folder, GROUND, KEEP_MB * MB)
-    return GroundRecorder(
-        header,
-        PartFiles(flight, MCAP, PART_MB * MB, lambda part: McapPart(replace(header, part=part), GROUND_TOPICS)),
-        writing,
-    )
+    files = _mcap_files(FlightFiles(folder, GROUND, KEEP_MB * MB), PART_MB * MB, header, GROUND_TOPICS)
+    return GroundRecorder(header, files, writing)
 
 
 def recorder_of(
@@ -278,8 +274,10 @@ def recorder_of(
         vehicle_file=as_json(vehicle),
     )
     flight, part_bytes = FlightFiles(folder, f"vehicle_{vehicle.id}", settings.keep_mb * MB), settings.part_mb * MB
-    mcap: PartFiles[MessageChunk] = PartFiles(
-        flight, MCAP, part_bytes, lambda part: McapPart(replace(header, part=part), TOPICS)
-    )
+    mcap = _mcap_files(flight, part_bytes, header, TOPICS)
     tlog = PartFiles(flight, TLOG, part_bytes, lambda _part: TlogPart()) if settings.tlog else None
     return Recorder(header, law_of(config.fleet.law), writing, mcap, tlog)
+
+
+def _mcap_files(flight: FlightFiles, part_bytes: int, header: Header, topics: Sequence[str]) -> PartFiles[MessageChunk]:
+    return PartFiles(flight, MCAP, part_bytes, lambda part: McapPart(replace(header, part=part), topics))

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from companion.report.findings import Interval, runs, stretches
 from companion.report.flight import Anything, FlightRecords, Floats, VehicleLog
-from companion.report.flight_findings import counting
+from companion.report.flight_findings import counts_of
 from companion.report.plotting import (
     BOTTOM_IN,
     LEFT_IN,
@@ -108,7 +108,7 @@ def draw_flags(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure | None:
     rows: list[BarRow] = []
     for vehicle in flight.vehicles:
         for flag, raised in sorted(vehicle.ticks.flags.items()):
-            counts = counting(vehicle, flag)
+            counts = counts_of(vehicle, flag)
             shown = ((raised & ~counts, FLAG_EXPECTED), (counts, FLAG_COUNTS))
             found = [
                 Bar(one.interval, colour)

@@ -15,7 +15,7 @@ from companion.report.autopilot_logs import LogError, log_files, named_logs, rea
 from companion.report.findings import Severity, rows_of
 from companion.report.load import load
 from companion.report.page import page_of, verdict
-from companion.report.summary import judged
+from companion.report.summary import judge
 from companion.tools.output import json_text
 from companion.types.errors import RefusedCommandError
 
@@ -63,7 +63,7 @@ def run_report(options: ReportOptions) -> int:
     logs = read_logs(files, flight, named)
     if named or files:
         steps.show(f"{len(logs.matched)} of {len(named) + len(files)} logs of autopilots are used")
-    one = judged(flight, logs)
+    one = judge(flight, logs)
     steps.show("drawing the figures")
     html = page_of(one, _local_zone(flight.begin_unix_s))
     _write(out, html)

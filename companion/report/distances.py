@@ -49,12 +49,12 @@ def grid_of(flight: FlightRecords) -> TimeGrid:
         return TimeGrid(np.empty(0), {}, {})
     ends_s = max(float(vehicle.ticks.time_s[-1]) for vehicle in vehicles)
     time_s = np.arange(0.0, ends_s + GRID_S / 2.0, GRID_S)
-    positions = {vehicle.vehicle_id: sampled(vehicle, vehicle.ticks.position_enu_m, time_s) for vehicle in vehicles}
+    positions = {vehicle.vehicle_id: sample_at(vehicle, vehicle.ticks.position_enu_m, time_s) for vehicle in vehicles}
     in_air = {vehicle.vehicle_id: vehicle.in_air_at(time_s) for vehicle in vehicles}
     return TimeGrid(time_s, positions, in_air)
 
 
-def sampled(vehicle: VehicleLog, values: Floats, time_s: Floats) -> Floats:
+def sample_at(vehicle: VehicleLog, values: Floats, time_s: Floats) -> Floats:
     """Values of the ticks (m, k) at other times (n, k), linear in between; NaN before, after and in long gaps."""
     own_s = vehicle.ticks.time_s
     if own_s.size < 2:
@@ -108,7 +108,7 @@ def _reference_enu_m(flight: FlightRecords, vehicle: VehicleLog) -> Floats:
     ticks = vehicle.ticks
     reference = ticks.reference_enu_m.copy()
     others = {
-        other.vehicle_id: sampled(other, other.ticks.reference_enu_m, ticks.time_s)
+        other.vehicle_id: sample_at(other, other.ticks.reference_enu_m, ticks.time_s)
         for other in flight.vehicles
         if other is not vehicle
     }

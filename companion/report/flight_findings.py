@@ -44,12 +44,12 @@ def raised_flags(vehicle: VehicleLog, settings: FailsafeSettings) -> Iterator[Fi
         # The positions of all vehicles show SEPARATION_VIOLATED better than one vehicle's view: see `closeness`.
         if raised is None or flag is HealthFlag.SEPARATION_VIOLATED:
             continue
-        for episode in runs(vehicle.ticks.time_s, counting(vehicle, flag), FLAGS_APART_S):
+        for episode in runs(vehicle.ticks.time_s, counts_of(vehicle, flag), FLAGS_APART_S):
             streamed = bool(streaming[episode.first : episode.last + 1].any())
             yield _of_flag(vehicle, flag, episode, _action(schedules[flag], episode, streamed))
 
 
-def counting(vehicle: VehicleLog, flag: str) -> Bools:
+def counts_of(vehicle: VehicleLog, flag: str) -> Bools:
     """Per tick: whether the flag is raised where it counts: on the ground most flags are expected."""
     streaming = np.isin(vehicle.ticks.phase, STREAMING_PHASES)
     return np.asarray(

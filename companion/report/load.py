@@ -192,7 +192,7 @@ def vehicle_log(starts: Sequence[StartRecords], clocks: Sequence[ToFlight], alig
         timing_of(*_columns((at(one.now_s), one) for start, at in both for one in start.timings)),
         statuses_of(*_columns((at(time_s), status) for start, at in both for time_s, status in start.statuses)),
         tuple(FlightEvent(at(time_s), one.code, one.text) for start, at in both for time_s, one in start.events),
-        tuple(command for start, at in both for command in given_commands(start, at)),
+        tuple(command for start, at in both for command in pair_commands(start, at)),
         aligned,
     )
 
@@ -209,7 +209,7 @@ def _start(start: StartRecords, at: ToFlight) -> AgentStart:
     return AgentStart(header.session, header.software, at(begins_s), at(ends_s), start.files, start.problems)
 
 
-def given_commands(start: StartRecords, at: ToFlight) -> list[GivenCommand]:
+def pair_commands(start: StartRecords, at: ToFlight) -> list[GivenCommand]:
     """Each command once, however often its sender repeated it, with its first answer."""
     answers: dict[tuple[str, int], dict[str, Any]] = {}
     for time_s, reply in start.replies:

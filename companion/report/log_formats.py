@@ -1,4 +1,4 @@
-"""Reads ArduPilot's log format (DataFlash, .bin)."""
+"""Reads the log formats of ArduPilot (DataFlash, .bin) and PX4 (ULog)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,18 @@ FAILSAFES = {
     29: "vibration",
     31: "dead reckoning",
 }
-DAMAGED_DATAFLASH = (TypeError, ValueError, KeyError, IndexError, AttributeError, EOFError, struct.error, OSError)
+# What the libraries raise for files that are damaged.
+DAMAGED = (TypeError, ValueError, KeyError, IndexError, AttributeError, EOFError, struct.error, OSError)
+ULOG_TOPICS = (
+    "vehicle_local_position",
+    "battery_status",
+    "vehicle_imu_status",
+    "sensor_gps",
+    "vehicle_gps_position",
+    "vehicle_status",
+)
+SEVERE = frozenset({"EMERGENCY", "ALERT", "CRITICAL", "ERROR", "WARNING"})
+ULOG_VIBRATION_M_S2 = 9.81  # of accel_vibration_metric
 Rows = dict[str, list[Any]]
 
 
@@ -73,7 +84,7 @@ def _rows(path: Path) -> Rows:
                 name = row.get_type()
                 if getattr(row, FIRST_ONLY.get(name, ""), 0) == 0:
                     rows[name].append(row)
-    except DAMAGED_DATAFLASH as error:
+    except DAMAGED as error:
         raise LogError(f"not a DataFlash log that can be read: {str(error) or type(error).__name__}") from error
     return rows
 
@@ -129,36 +140,12 @@ def _messages(rows: Rows) -> list[LogMessage]:
     return sorted(found, key=lambda one: one.time_s)
 
 
-ULOG_TOPICS = (
-    "vehicle_local_position",
-    "battery_status",
-    "vehicle_imu_status",
-    "sensor_gps",
-    "vehicle_gps_position",
-    "vehicle_status",
-)
-SEVERE = frozenset({"EMERGENCY", "ALERT", "CRITICAL", "ERROR", "WARNING"})
-ULOG_VIBRATION_M_S2 = 9.81  # of accel_vibration_metric
-# What the library raises for files that are damaged.
-DAMAGED_ULOG = (
-    ULogException,
-    TypeError,
-    ValueError,
-    KeyError,
-    IndexError,
-    AttributeError,
-    EOFError,
-    struct.error,
-    OSError,
-)
-
-
 def read_ulog(path: Path) -> AutopilotLog:
     """Raises LogError."""
     try:
         with redirect_stdout(io.StringIO()):  # the library prints what it skips
             log = ULog(str(path), list(ULOG_TOPICS))
-    except DAMAGED_ULOG as error:
+    except (ULogException, *DAMAGED) as error:
         raise LogError(f"not a ULog that can be read: {str(error) or type(error).__name__}") from error
     position = _topic(log, "vehicle_local_position")
     if position is None:
@@ -213,12 +200,9 @@ def _failsafes(log: ULog) -> list[LogMessage]:
 
 
 def _logged(log: ULog) -> list[LogMessage]:
-    return [
-        LogMessage(
-            one.timestamp / 1e6,
-            one.message,
-            failsafe="failsafe" in one.message.lower() and one.log_level_str() in SEVERE,
-            severe=one.log_level_str() in SEVERE,
-        )
-        for one in log.logged_messages
-    ]
+    found = []
+    for one in log.logged_messages:
+        severe = one.log_level_str() in SEVERE
+        failsafe = severe and "failsafe" in one.message.lower()
+        found.append(LogMessage(one.timestamp / 1e6, one.message, failsafe, severe))
+    return found

@@ -173,7 +173,7 @@ def new_figure(panels_in: float) -> Figure:
     return Figure(figsize=(WIDTH_IN, panels_in))
 
 
-def thinned(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+def thin_out(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Smallest and largest value of each of COLUMNS parts of the time: what is drawn keeps every peak. NaN breaks the curve."""
     if time_s.size <= 3 * COLUMNS:
         return time_s, values
@@ -194,7 +194,7 @@ def thinned(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 def plot(axes: Axes, time_s: Floats, values: Floats, label: str, **style: Any) -> None:
     """One curve over time, thinned."""
-    axes.plot(*thinned(time_s, values), label=label, **style)
+    axes.plot(*thin_out(time_s, values), label=label, **style)
 
 
 def dress_panel(axes: Axes, x_label: str, y_label: str, columns: int = 1) -> None:

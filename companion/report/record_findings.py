@@ -150,7 +150,7 @@ def in_air_ms(vehicle: VehicleLog) -> tuple[Floats, Floats]:
     return timing.late_ms[in_air], timing.to_command_ms[in_air]
 
 
-def late(vehicle: VehicleLog) -> Iterator[Finding]:
+def late_ticks(vehicle: VehicleLog) -> Iterator[Finding]:
     """At most one finding for the ticks and one for the way from telemetry to command."""
     figures = timing_figures(vehicle)
     if figures.late or figures.lateness.p99_ms > LATE_P99_MS:

@@ -26,7 +26,7 @@ from companion.report.flight_findings import (
 )
 from companion.report.record_findings import (
     autopilot_findings,
-    late,
+    late_ticks,
     recording_gaps,
     starts_and_ends,
     timing_figures,
@@ -92,14 +92,14 @@ def summary_of(
     findings: Sequence[Finding],
 ) -> FlightSummary:
     """The figures of the whole flight."""
-    judged = [pair for pair in pairs if pair.judged.any()]
+    flown = [pair for pair in pairs if pair.judged.any()]
     return FlightSummary(
         fleet=flight.fleet_name,
         begin_unix_s=round(flight.begin_unix_s, 3),
         lasts_s=round(flight.ends_s, 3),
         vehicles=tuple(vehicle_figures(vehicle, errors_m[vehicle.vehicle_id]) for vehicle in flight.vehicles),
         separation_m=flight.separation_m,
-        smallest_separation=_smallest(judged[0]) if judged else None,
+        smallest_separation=_smallest(flown[0]) if flown else None,
         findings=tuple(findings),
     )
 
@@ -148,7 +148,7 @@ def _known(value: float, digits: int = 2) -> float | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class Judgement:
     """Pairs with the nearest first; errors to the slot by vehicle, per tick."""
 
     flight: FlightRecords
@@ -158,12 +158,12 @@ class Judged:
     logs: AutopilotLogs
 
 
-def judged(flight: FlightRecords, logs: AutopilotLogs = NO_LOGS) -> Judged:
+def judge(flight: FlightRecords, logs: AutopilotLogs = NO_LOGS) -> Judgement:
     """Distances, errors and findings, from all records."""
     pairs = pair_distances(flight, grid_of(flight))
     errors_m = errors_to_slot_m(flight)
     findings = all_findings(flight, pairs, logs)
-    return Judged(flight, pairs, errors_m, summary_of(flight, pairs, errors_m, findings), logs)
+    return Judgement(flight, pairs, errors_m, summary_of(flight, pairs, errors_m, findings), logs)
 
 
 def all_findings(
@@ -183,7 +183,7 @@ def _found(flight: FlightRecords, pairs: Sequence[PairDistance], logs: Autopilot
         yield from failsafe_events(vehicle)
         yield from streams_ended(vehicle)
         yield from disarmed_in_air(vehicle)
-        yield from late(vehicle)
+        yield from late_ticks(vehicle)
         yield from refused_commands(vehicle)
         yield from recording_gaps(vehicle)
         yield from starts_and_ends(flight, vehicle)

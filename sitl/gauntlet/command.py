@@ -37,7 +37,7 @@ class GauntletReport(Struct, frozen=True, kw_only=True):
 def run_gauntlet(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit code. Raises what sitl/cli/main.py reports."""
     own = load_fleet(arguments.fleet) if arguments.fleet else None
-    families = chosen_families(arguments.families)
+    families = parse_families(arguments.families)
     with (
         StopRequest("stopped at once; nothing was written") as stop,
         ShareProgress(arguments.quiet) as progress,
@@ -58,7 +58,7 @@ def run_gauntlet(arguments: argparse.Namespace) -> int:
     return code
 
 
-def chosen_families(text: str | None) -> tuple[str, ...]:
+def parse_families(text: str | None) -> tuple[str, ...]:
     """The families named in a comma-separated list; all without one. Raises UnusableError."""
     names = tuple(text.split(",")) if text else tuple(FAMILIES)
     for name in names:

@@ -23,9 +23,9 @@ from sitl.gauntlet.fleets import (
     direction,
     moved,
     on_grid,
-    rounded,
     scattered,
     suited_starts,
+    to_thousandth,
 )
 
 FORM_S = 8.5  # by then all hover
@@ -62,12 +62,12 @@ Family = Callable[[Random, DrawnFleet], FamilyPlan]
 def step(command: str, after_s: float, **content: object) -> Content:
     """A step that may fail, this long after FORM_S."""
     fields = {key: value for key, value in content.items() if value is not None}
-    at_s = rounded(FORM_S + after_s)
+    at_s = to_thousandth(FORM_S + after_s)
     return {"command": command, "at_s": at_s, "may_fail": True, "timeout_s": GIVEN_UP_AFTER_S, **fields}
 
 
 def point(fleet: DrawnFleet, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Content:
-    return {"kind": "point", "point_enu_m": [at[0], at[1], rounded(fleet.height_m + at[2])]}
+    return {"kind": "point", "point_enu_m": [at[0], at[1], to_thousandth(fleet.height_m + at[2])]}
 
 
 def slow(random: Random, fleet: DrawnFleet) -> Content:
@@ -76,14 +76,14 @@ def slow(random: Random, fleet: DrawnFleet) -> Content:
         return point(fleet)
     way = direction(random, random.uniform(5.0, 15.0))
     points = [[0.0, 0.0, fleet.height_m], [way[0], way[1], fleet.height_m]]
-    speed_m_s = rounded(random.uniform(0.3, 1.0))
+    speed_m_s = to_thousandth(random.uniform(0.3, 1.0))
     return {"kind": "waypoints", "points_enu_m": points, "max_speed_m_s": speed_m_s, "max_acceleration_m_s2": 0.4}
 
 
 def shape_change(random: Random, fleet: DrawnFleet) -> Content:
     shape = random.choice(("line", "column", "v", "diamond", "rectangle", "circle", "grid"))
-    heading_deg = random.choice((0.0, 90.0, rounded(random.uniform(-180.0, 180.0))))
-    speed_m_s = rounded(random.uniform(0.5, 0.98) * fleet.slot_speed_m_s)
+    heading_deg = random.choice((0.0, 90.0, to_thousandth(random.uniform(-180.0, 180.0))))
+    speed_m_s = to_thousandth(random.uniform(0.5, 0.98) * fleet.slot_speed_m_s)
     return {"shape": shape, "spacing_m": fleet.spacing_m, "heading_deg": heading_deg, "speed_m_s": speed_m_s}
 
 
@@ -118,7 +118,7 @@ def form_crossing(random: Random, fleet: DrawnFleet) -> FamilyPlan:
 
 def _with_delays_s(way_m: float, speed_m_s: float) -> float:
     """Time for slots that move this far, and for vehicles that make way meanwhile."""
-    return rounded(min(10.0 + 1.5 * PEAK_SPEED * way_m / speed_m_s, LONGEST_S))
+    return to_thousandth(min(10.0 + 1.5 * PEAK_SPEED * way_m / speed_m_s, LONGEST_S))
 
 
 def hovering(random: Random, fleet: DrawnFleet) -> FamilyPlan:
@@ -149,7 +149,7 @@ def joining(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     inside = [start for i, start in fleet.starts_enu_m.items() if i not in late]
     places = scattered(random, len(late), START_SPACING * fleet.separation_m, inside)
     fleet.starts_enu_m |= dict(zip(late, places, strict=True))
-    begins_s = rounded(random.uniform(5.0, 9.0))
+    begins_s = to_thousandth(random.uniform(5.0, 9.0))
     steps = [step("form", begins_s, vehicles=[i]) for i in late]
     return FamilyPlan(slow(random, fleet), steps, stays_out=late, slots_from_s=begins_s, lasts_s=30.0)
 
@@ -159,7 +159,10 @@ def joining(random: Random, fleet: DrawnFleet) -> FamilyPlan:
 
 def formation_change(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """Two changes of the shape, the second sometimes during the first."""
-    first_s, gap_s = rounded(random.uniform(4.0, 7.0)), rounded(random.choice((2.0, random.uniform(6.0, 9.0))))
+    first_s, gap_s = (
+        to_thousandth(random.uniform(4.0, 7.0)),
+        to_thousandth(random.choice((2.0, random.uniform(6.0, 9.0)))),
+    )
     steps = [step("formation", at_s, formation=shape_change(random, fleet)) for at_s in (first_s, first_s + gap_s)]
     return FamilyPlan(slow(random, fleet), steps, slots_from_s=first_s + gap_s, lasts_s=32.0)
 
@@ -173,7 +176,7 @@ def exchange(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     else:
         random.shuffle(others)
     slots = {i: list(slot) for i, slot in zip(fleet.ids, others, strict=True)}
-    speed_m_s = rounded(random.uniform(0.5, 0.98) * fleet.slot_speed_m_s)
+    speed_m_s = to_thousandth(random.uniform(0.5, 0.98) * fleet.slot_speed_m_s)
     change = {"slots_enu_m": slots, "speed_m_s": speed_m_s}
     steps = [step("formation", 5.0, formation=change, timeout_s=ENTERED_WITHIN_S)]
     way_m = max(dist(a, b) for a, b in zip(own, others, strict=True))
@@ -182,8 +185,8 @@ def exchange(random: Random, fleet: DrawnFleet) -> FamilyPlan:
 
 def turning(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """The formation turns with the course of its reference."""
-    radius_m = rounded(random.uniform(5.0, 12.0))
-    period_s = rounded(random.uniform(25.0, 60.0))
+    radius_m = to_thousandth(random.uniform(5.0, 12.0))
+    period_s = to_thousandth(random.uniform(25.0, 60.0))
     kind = random.choice(("circle", "figure_8"))
     size = {"radius_m": radius_m} if kind == "circle" else {"width_m": 2.0 * radius_m, "height_m": radius_m}
     centre = [-radius_m if kind == "circle" else 0.0, 0.0, fleet.height_m]
@@ -208,7 +211,7 @@ def _way_m(fleet: DrawnFleet, change: Content) -> float:
 
 def fast(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """A reference near the fastest that the fleet accepts."""
-    radius_m = rounded(random.uniform(4.0, 15.0))
+    radius_m = to_thousandth(random.uniform(4.0, 15.0))
     acceleration_m_s2 = random.uniform(1.0, 4.0)
     kind = random.choice(("circle", "figure_8", "waypoints"))
     if kind == "waypoints":
@@ -218,11 +221,11 @@ def fast(random: Random, fleet: DrawnFleet) -> FamilyPlan:
             corners.append((x, y))
         points = [[x, y, fleet.height_m] for x, y in corners]
         limits = {
-            "max_speed_m_s": rounded(random.uniform(2.0, 8.0)),
-            "max_acceleration_m_s2": rounded(acceleration_m_s2),
+            "max_speed_m_s": to_thousandth(random.uniform(2.0, 8.0)),
+            "max_acceleration_m_s2": to_thousandth(acceleration_m_s2),
         }
         return FamilyPlan({"kind": kind, "points_enu_m": points, **limits}, lasts_s=25.0)
-    period_s = rounded(2.0 * pi * (radius_m / acceleration_m_s2) ** 0.5 * (1.0 if kind == "circle" else 1.5))
+    period_s = to_thousandth(2.0 * pi * (radius_m / acceleration_m_s2) ** 0.5 * (1.0 if kind == "circle" else 1.5))
     size = {"radius_m": radius_m} if kind == "circle" else {"width_m": 2.0 * radius_m, "height_m": radius_m}
     centre = [-radius_m if kind == "circle" else 0.0, 0.0, fleet.height_m]
     return FamilyPlan(
@@ -235,7 +238,7 @@ def reference_step(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     first = direction(random, random.uniform(5.0, 10.0))
     second = moved(first, direction(random, random.uniform(5.0, 10.0)))
     steps = [
-        step("reference", at_s, reference=point(fleet, (x, y, rounded(random.uniform(-0.5, 1.0)))))
+        step("reference", at_s, reference=point(fleet, (x, y, to_thousandth(random.uniform(-0.5, 1.0)))))
         for at_s, (x, y, _) in zip((5.0, 12.0), (first, second), strict=True)
     ]
     return FamilyPlan(point(fleet), steps, slots_from_s=12.0, lasts_s=28.0)
@@ -245,10 +248,10 @@ def reference_handover(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """From one moving reference to another, and back to rest."""
     plan = fast(random, fleet)
     plan.reference = slow(random, fleet)
-    radius_m = rounded(random.uniform(4.0, 10.0))
+    radius_m = to_thousandth(random.uniform(4.0, 10.0))
     centre = [*direction(random, random.uniform(0.0, 8.0))[:2], fleet.height_m]
     circle = {"kind": "circle", "centre_enu_m": centre, "radius_m": radius_m, "ramp_s": 4.0}
-    circle |= {"period_s": rounded(random.uniform(15.0, 40.0)), "clockwise": random.random() < 0.5}
+    circle |= {"period_s": to_thousandth(random.uniform(15.0, 40.0)), "clockwise": random.random() < 0.5}
     rest = point(fleet, direction(random, 5.0))
     plan.steps = [step("reference", 4.0, reference=circle), step("reference", 13.0, reference=rest)]
     plan.slots_from_s, plan.lasts_s = 13.0, 30.0
@@ -280,8 +283,8 @@ def leader_dies(random: Random, fleet: DrawnFleet) -> FamilyPlan:
 
     An ArduCopter without an agent drifts, and no other vehicle knows where it is: the filter cannot avoid it.
     """
-    end = {"vehicle": fleet.leader, "at_s": rounded(FORM_S + random.uniform(4.0, 8.0))}
-    restarts_after_s = rounded(random.uniform(*RESTARTS_AFTER_S))
+    end = {"vehicle": fleet.leader, "at_s": to_thousandth(FORM_S + random.uniform(4.0, 8.0))}
+    restarts_after_s = to_thousandth(random.uniform(*RESTARTS_AFTER_S))
     if random.random() >= STAYS_DEAD or fleet.autopilot is AutopilotKind.ARDUPILOT:
         end["restarts_after_s"] = restarts_after_s
     reference = fast(random, fleet).reference if random.random() < 0.5 else slow(random, fleet)
@@ -314,11 +317,11 @@ def partition(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """The network splits into two parts and heals; vehicles that hold are commanded to form again."""
     part = sorted(random.sample(fleet.ids, random.randint(1, fleet.size - 1)))
     from_s, lasts_s = random.uniform(4.0, 6.0), random.uniform(0.2, 6.0)
-    begins_s, ends_s = rounded(FORM_S + from_s), rounded(FORM_S + from_s + lasts_s)
+    begins_s, ends_s = to_thousandth(FORM_S + from_s), to_thousandth(FORM_S + from_s + lasts_s)
     split = {"vehicles": part, "from_s": begins_s, "until_s": ends_s}
     steps = [step("form", 16.0)]
     if random.random() < 0.4:
-        steps.insert(0, step("formation", rounded(from_s + 0.5), formation=shape_change(random, fleet)))
+        steps.insert(0, step("formation", to_thousandth(from_s + 0.5), formation=shape_change(random, fleet)))
     return FamilyPlan(slow(random, fleet), steps, partitions=[split], slots_from_s=16.0, lasts_s=30.0)
 
 

@@ -82,8 +82,8 @@ def random_fleet(random: Random, sensors: SensorsName | None = None, own: FleetC
     autopilot = random.choice(tuple(AutopilotKind))
     drawn_sensors = random.choice(SENSORS)
     used_sensors = sensors or drawn_sensors
-    separation_m = rounded(random.uniform(*SEPARATION_M))
-    spacing_m = rounded(max(separation_m * random.uniform(*SPACING), LEAST_SIGMAS_M[used_sensors]))
+    separation_m = to_thousandth(random.uniform(*SEPARATION_M))
+    spacing_m = to_thousandth(max(separation_m * random.uniform(*SPACING), LEAST_SIGMAS_M[used_sensors]))
     good_network = random.random() < 0.3
     delay_s, jitter_s, loss = random.uniform(0.0, 0.1), random.uniform(0.0, 0.05), random.uniform(0.0, 0.1)
     fleet = DrawnFleet(
@@ -93,13 +93,13 @@ def random_fleet(random: Random, sensors: SensorsName | None = None, own: FleetC
         sensors=used_sensors,
         separation_m=separation_m,
         spacing_m=spacing_m,
-        height_m=rounded(random.uniform(*HEIGHT_M)),
-        delay_s=0.001 if good_network else rounded(max(delay_s - jitter_s, 0.0)),
-        jitter_s=0.0 if good_network else rounded(jitter_s),
-        loss=0.0 if good_network else rounded(loss),
+        height_m=to_thousandth(random.uniform(*HEIGHT_M)),
+        delay_s=0.001 if good_network else to_thousandth(max(delay_s - jitter_s, 0.0)),
+        jitter_s=0.0 if good_network else to_thousandth(jitter_s),
+        loss=0.0 if good_network else to_thousandth(loss),
         seed=random.randrange(1_000_000),
         slots_enu_m={},
-        slot_speed_m_s=rounded(random.uniform(1.0, 2.0)),
+        slot_speed_m_s=to_thousandth(random.uniform(1.0, 2.0)),
         own=own,
     )
     fleet.slots_enu_m = random_slots(random, fleet)
@@ -115,7 +115,7 @@ def _take_settings(fleet: DrawnFleet, own: FleetConfig) -> None:
     fleet.height_m, fleet.slot_speed_m_s = own.takeoff_height_m, own.slot_speed_m_s
     fleet.slots_enu_m = {member.id: member.slot_enu_m for member in own.vehicles}
     slots = list(fleet.slots_enu_m.values())
-    fleet.spacing_m = rounded(min((dist(a, b) for a, b in combinations(slots, 2)), default=own.separation_m))
+    fleet.spacing_m = to_thousandth(min((dist(a, b) for a, b in combinations(slots, 2)), default=own.separation_m))
 
 
 def random_slots(random: Random, fleet: DrawnFleet) -> dict[int, Vector3]:
@@ -162,13 +162,13 @@ def moved(point: Vector3, by: Vector3) -> Vector3:
     return on_grid((point[0] + by[0], point[1] + by[1], point[2] + by[2]))
 
 
-def rounded(value: float) -> float:
+def to_thousandth(value: float) -> float:
     return round(value, 3)
 
 
 def on_grid(point: Sequence[float]) -> Vector3:
     x, y, z = point
-    return (rounded(x), rounded(y), rounded(z))
+    return (to_thousandth(x), to_thousandth(y), to_thousandth(z))
 
 
 def sections(fleet: DrawnFleet, random: Random) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from sitl.flight.scenario import Scenario, scenario_from
 from sitl.flight.virtual_flight import Flown, fly_without_landing
 from sitl.flight.watch import FlightWatch
 from sitl.gauntlet.families import FAMILIES, FORM_S, FamilyPlan, step
-from sitl.gauntlet.fleets import START_SPACING, DrawnFleet, SensorsName, random_fleet, rounded, sections
+from sitl.gauntlet.fleets import START_SPACING, DrawnFleet, SensorsName, random_fleet, sections, to_thousandth
 from sitl.report.metrics import Track, reported_track
 from sitl.report.progress import FlightProgress
 from sitl.vehicle.config import Links
@@ -80,13 +80,13 @@ def fly(job: Job) -> FlightOutcome:
     """Draw and fly one flight. An exception of the flight is part of the outcome."""
     began_s = time.process_time()
     try:
-        flight = drawn(job.seed, job.number, job.sensors, job.own)
+        flight = draw_flight(job.seed, job.number, job.sensors, job.own)
     except ImpossibleFlightError as error:
         return FlightOutcome(seed=job.seed, number=job.number, family=family_of(job.number), failure=str(error))
-    return measured(job, flight, began_s)
+    return fly_drawn(job, flight, began_s)
 
 
-def measured(job: Job, flight: Drawn, began_s: float) -> FlightOutcome:
+def fly_drawn(job: Job, flight: Drawn, began_s: float) -> FlightOutcome:
     scenario = flight.scenario
     sensors = str(scenario.stand_in.sensors)
     known = FlightOutcome(
@@ -124,11 +124,11 @@ def _undisturbed_s(flight: Drawn, arrived: SlotArrivals) -> dict[int, float | No
     """Times to the slots without disturbance; of every UNDISTURBED_EVERY-th flight, because it takes another flight."""
     if flight.number % UNDISTURBED_EVERY or not any(s is not None for s in arrived.reached_s.values()):
         return {}
-    flown = fly_without_landing(undisturbed(flight.scenario), FlightProgress("gauntlet", True, 0.0))
+    flown = fly_without_landing(without_disturbance(flight.scenario), FlightProgress("gauntlet", True, 0.0))
     return arrivals(flight, flown).reached_s
 
 
-def undisturbed(scenario: Scenario) -> Scenario:
+def without_disturbance(scenario: Scenario) -> Scenario:
     """The flight with ideal sensors and links, without a runaway vehicle and in effect without separation.
 
     What happens to the fleet stays the same: commands, partitions, agents that end.
@@ -183,7 +183,7 @@ def has_runaway(number: int) -> bool:
     return number % RUNAWAY_EVERY == RUNAWAY_EVERY - 1
 
 
-def drawn(seed: int, number: int, sensors: SensorsName | None = None, own: FleetConfig | None = None) -> Drawn:
+def draw_flight(seed: int, number: int, sensors: SensorsName | None = None, own: FleetConfig | None = None) -> Drawn:
     """The flight with this seed and number, of a user's own fleet if one is given. Raises NoFlightError."""
     random, last = Random(f"{seed} {number} gauntlet"), ""
     for _ in range(DRAWS):
@@ -199,7 +199,7 @@ def drawn(seed: int, number: int, sensors: SensorsName | None = None, own: Fleet
             continue
         expected = plan.expected if plan.expected is not None else fleet.ids
         arrives = tuple(i for i in expected if i != runaway and (i not in plan.stays_out or _joins(plan, i)))
-        times_s = (rounded(FORM_S + plan.slots_from_s), rounded(FORM_S + plan.lasts_s))
+        times_s = (to_thousandth(FORM_S + plan.slots_from_s), to_thousandth(FORM_S + plan.lasts_s))
         return Drawn(number, family_of(number), scenario, arrives, *times_s, runaway)
     raise ImpossibleFlightError(f"no draw of flight {number} with seed {seed} can be flown: {last}")
 
@@ -257,10 +257,10 @@ def _pilot(random: Random, fleet: DrawnFleet, runaway: int) -> tuple[dict[str, A
             if all(abs(complex(x - a, y - b)) > 2.0 * START_SPACING * fleet.separation_m for a, b, _ in others):
                 break
             away_m += 0.5
-        fleet.starts_enu_m[runaway] = (rounded(x), rounded(y), 0.0)
+        fleet.starts_enu_m[runaway] = (to_thousandth(x), to_thousandth(y), 0.0)
         angle_rad += pi + random.uniform(-0.1, 0.1)
-    velocity = [rounded(speed_m_s * cos(angle_rad)), rounded(speed_m_s * sin(angle_rad)), 0.0]
-    at_s = rounded(FORM_S + random.uniform(2.0 if from_outside else 5.0, 9.0))
+    velocity = [to_thousandth(speed_m_s * cos(angle_rad)), to_thousandth(speed_m_s * sin(angle_rad)), 0.0]
+    at_s = to_thousandth(FORM_S + random.uniform(2.0 if from_outside else 5.0, 9.0))
     return {"vehicle": runaway, "at_s": at_s, "velocity_enu_m_s": velocity}, from_outside
 
 
@@ -268,14 +268,14 @@ def _seen_at_s(at_s: float, plan: FamilyPlan) -> float:
     """When the pilot takes over: not while a partition may hide from the others that the vehicle begins to move."""
     for split in plan.partitions:
         if split["from_s"] - SEEN_S < at_s < split["until_s"]:
-            return rounded(split["until_s"] + SEEN_S)
+            return to_thousandth(split["until_s"] + SEEN_S)
     return at_s
 
 
 def _end(timeline: list[dict[str, Any]], ends_s: float) -> None:
     """The last step lasts until the end of the flight."""
     last = timeline[-1]
-    last["for_s"] = rounded(max(ends_s - last["at_s"], 0.0))
+    last["for_s"] = to_thousandth(max(ends_s - last["at_s"], 0.0))
 
 
 SENSOR_FACTOR = {"ideal": 1.0, "default": 0.8, "px4_sih": 0.6}

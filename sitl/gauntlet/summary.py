@@ -13,7 +13,7 @@ from msgspec import Struct
 from companion.config.fleet import FleetConfig
 from sitl.gauntlet.families import FAMILIES, RESTARTS_AFTER_S, STAYS_DEAD
 from sitl.gauntlet.fleets import SensorsName
-from sitl.gauntlet.flight import SENSOR_FACTOR, FlightOutcome, drawn
+from sitl.gauntlet.flight import SENSOR_FACTOR, FlightOutcome, draw_flight
 from sitl.report.folder import Column
 
 KEPT = 10  # of the worst flights
@@ -202,7 +202,7 @@ def write_worst(
     """
     lines = []
     for outcome in worst_of(outcomes):
-        scenario = drawn(outcome.seed, outcome.number, sensors, own).scenario
+        scenario = draw_flight(outcome.seed, outcome.number, sensors, own).scenario
         path = folder / f"{outcome.family}_{outcome.number}.yaml"
         content = yaml.safe_dump(msgspec.to_builtins(scenario), sort_keys=False)
         path.write_text(f"# {line_of(outcome)}\n{content}", encoding="utf-8")

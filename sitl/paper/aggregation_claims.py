@@ -25,7 +25,7 @@ from sitl.paper.flights import (
 )
 from sitl.paper.platoon_claims import AVERAGES, FIRST_M, FITS_M, NAMES, experiment_claims, largest_m, platoon_claims
 from sitl.paper.ring_claims import ring_claims
-from sitl.paper.words import claim_of, listed, seconds, verdict_of
+from sitl.paper.words import claim_of, join_words, seconds, verdict_of
 from sitl.report.claim import Claim
 from sitl.report.metrics import pair_name
 
@@ -81,7 +81,9 @@ def _duration_s(entry: Entry) -> float:
 def broken_edges(entry: Entry, seconds_s: float = inf) -> str:
     """ "1-2 from 0.08 s to 2.90 s", for every edge of the start that broke within `seconds_s`; empty where none did."""
     spans = _out_of_range(entry, seconds_s)
-    return listed(f"{pair} from {found[0][0]:.2f} s to {found[-1][1]:.2f} s" for pair, found in spans.items() if found)
+    return join_words(
+        f"{pair} from {found[0][0]:.2f} s to {found[-1][1]:.2f} s" for pair, found in spans.items() if found
+    )
 
 
 def _out_of_range(entry: Entry, seconds_s: float) -> dict[str, list[Interval]]:
@@ -225,20 +227,20 @@ def _weighted_keeps_together(book: Book) -> Claim:
         | {f"noisy_flights_connected_{law}": float(count) for law, count in whole.items()}
         | {"compared_over_s": window_s},
         comparison=_comparison_text(better, kept),
-        with_noise=listed(
+        with_noise=join_words(
             f"{whole[law]} of {len(noisy[law])} flights ({NAMES[law]})" for law in ("weighted", "average_22")
         ),
         window_s=window_s,
-        fewest=listed(f"{_fewest_text(entries[law, Model.FULL])} ({NAMES[law]})" for law in LAWS),
+        fewest=join_words(f"{_fewest_text(entries[law, Model.FULL])} ({NAMES[law]})" for law in LAWS),
         **results(result),
     )
 
 
 def _comparison_text(better: dict[LawName, bool], kept: dict[tuple[LawName, Model], Connectivity]) -> str:
     than = [NAMES[law] for law in AVERAGES if better[law]]
-    text = f"With perfect sensors and both models better than {listed(than) if than else 'neither average law'}"
+    text = f"With perfect sensors and both models better than {join_words(than) if than else 'neither average law'}"
     if than and len(than) < len(AVERAGES):
-        text += f", not better than {listed(NAMES[law] for law in AVERAGES if not better[law])}"
+        text += f", not better than {join_words(NAMES[law] for law in AVERAGES if not better[law])}"
     edges_alone = [
         NAMES[law]
         for law in AVERAGES
@@ -249,15 +251,13 @@ def _comparison_text(better: dict[LawName, bool], kept: dict[tuple[LawName, Mode
         )
     ]
     if edges_alone:
-        text += (
-            f"; compared with {listed(edges_alone)} only in the time of edges out of range: both graphs stay connected"
-        )
+        text += f"; compared with {join_words(edges_alone)} only in the time of edges out of range: both graphs stay connected"
     return text + "."
 
 
 def _fewest_text(entry: Entry) -> str:
     found = fewest_in_range(entry.flight, LEADER, range_m(entry))
-    return f"UAV {listed(str(i) for i in found)}" if found else "none"
+    return f"UAV {join_words(str(i) for i in found)}" if found else "none"
 
 
 def _one_average_law(book: Book) -> Claim:
@@ -270,7 +270,7 @@ def _one_average_law(book: Book) -> Claim:
     def result(model: Model) -> str:
         return "; ".join(f"{NAMES[law]}: {outcomes[law, model]}, {peaks_m[law, model]:.2f} m" for law in AVERAGES)
 
-    fit_4, fit_6 = (listed(NAMES[law] for law in laws) if laws else "neither law" for laws in (figure_4, figure_6))
+    fit_4, fit_6 = (join_words(NAMES[law] for law in laws) if laws else "neither law" for laws in (figure_4, figure_6))
     return claim_of(
         "average-law",
         verdict_of("average_26" in figure_4 and "average_26" in figure_6),

@@ -30,7 +30,7 @@ from sitl.report.metrics import (
     formation_figures,
     neighbouring_pairs,
     pairs_of,
-    standing,
+    stand_at,
 )
 from sitl.report.progress import FlightProgress
 from sitl.report.summary import TopologyChange
@@ -121,7 +121,7 @@ class FlownPlan:
         slots_enu_m = {member.id: member.slot_enu_m for member in self.scenario.fleet.vehicles}
         pairs = neighbouring_pairs(slots_enu_m)
         return FormationFlight(
-            self.plan.law, self.tracks, standing(slots_enu_m), pairs, reference_of(self.scenario), self.formation
+            self.plan.law, self.tracks, stand_at(slots_enu_m), pairs, reference_of(self.scenario), self.formation
         )
 
 

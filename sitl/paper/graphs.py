@@ -128,7 +128,7 @@ def random_parts(random: np.random.Generator) -> list[Led]:
     return parts
 
 
-def united(parts: Iterable[Led]) -> Led:
+def unite(parts: Iterable[Led]) -> Led:
     graph: dict[int, Collection[int]] = {}
     leaders: frozenset[int] = frozenset()
     for part in parts:

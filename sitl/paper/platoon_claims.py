@@ -17,7 +17,7 @@ from sitl.paper.flights import (
     response_s,
     results,
 )
-from sitl.paper.words import claim_of, listed, metres, seconds, verdict_of
+from sitl.paper.words import claim_of, join_words, metres, seconds, verdict_of
 from sitl.report.claim import Claim
 from sitl.report.metrics import distances_m, settle_time_s
 
@@ -96,7 +96,7 @@ def _of_averages(text_of: Callable[[LawName], str]) -> str:
 def _average_peak(book: Book) -> Claim:
     peak_m = {(law, m): largest_m(flown_platoon(book, law, m), "1-2") for law in AVERAGES for m in PERFECT}
     fits = {key: abs(one_m - FIRST_M) <= FITS_M for key, one_m in peak_m.items()}
-    fitting = {m: listed(NAMES[law] for law in AVERAGES if fits[law, m]) or "neither law" for m in PERFECT}
+    fitting = {m: join_words(NAMES[law] for law in AVERAGES if fits[law, m]) or "neither law" for m in PERFECT}
     return claim_of(
         "fig-6-average",
         verdict_of(all(fits["average_26", m] for m in PERFECT), any(fits.values())),
@@ -116,7 +116,7 @@ def _stays_below(book: Book, claim_id: str, pairs: Sequence[str]) -> Claim:
     each = [(f"d{pair.replace('-', '')}", model, m) for model, found in found_m.items() for pair, m in found.items()]
     over = [f"{pair} by {100 * (m - SMALLER_M):.1f} cm ({model})" for pair, model, m in each if m >= SMALLER_M]
     to_the_centimetre = max(ideal_m.values()) < SMALLER_M + READ_TO_M
-    remark = f"Above 1.75 m: {listed(over)}." if over else ""
+    remark = f"Above 1.75 m: {join_words(over)}." if over else ""
     if over and to_the_centimetre:
         remark += " To the centimetre the ideal model agrees with the paper's figure."
     lag_cm = 100 * max(full_m[pair] - ideal_m[pair] for pair in pairs)
@@ -250,7 +250,7 @@ def _too_close(both_ways_m: Mapping[tuple[LawName, Model], float], where: Sequen
     )
     return (
         f" Distances that are too small do not count here; the largest deviation in both directions is not lower: "
-        f"{listed(found)}."
+        f"{join_words(found)}."
     )
 
 

@@ -20,7 +20,7 @@ from companion.types.flight import Role
 from sitl.paper.flights import COMPARED, PERFECT, Book, FlightSubject, FlownPlan, Model
 from sitl.paper.graphs import graph_of
 from sitl.paper.platoon_claims import PAIRS
-from sitl.paper.words import listed, words
+from sitl.paper.words import join_words, words
 from sitl.report.claim import Claim, ClaimVerdict, Erratum
 from sitl.report.metrics import settle_time_s
 from sitl.report.plots import LAW_TITLES
@@ -68,7 +68,7 @@ def verdict_counts(claims: Sequence[Claim]) -> str:
         f"{condition} {'holds' if condition == 1 else 'hold'} with a condition",
         f"{fails} {'does' if fails == 1 else 'do'} not hold",
     ]
-    return f"{len(claims)} claim{'' if len(claims) == 1 else 's'}: {listed(parts)}"
+    return f"{len(claims)} claim{'' if len(claims) == 1 else 's'}: {join_words(parts)}"
 
 
 def write_report(folder: Path, report: PaperReport) -> None:

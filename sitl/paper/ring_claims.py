@@ -27,7 +27,7 @@ from sitl.paper.flights import (
     topology_at,
 )
 from sitl.paper.graphs import EXACT, RING_LED_BY_1, RING_LED_BY_2, hops, printed_matrix
-from sitl.paper.words import claim_of, listed, seconds, verdict_of
+from sitl.paper.words import claim_of, join_words, seconds, verdict_of
 from sitl.report.claim import Claim
 from sitl.report.metrics import distances_m, errors_m, pair_name, reference_positions_m
 
@@ -262,7 +262,7 @@ def _latency_is_reduced(book: Book) -> Claim:
             f"({hop} {'hop' if hop == 1 else 'hops'})"
             for hop in RING_HOPS
         )
-        return listed(parts)
+        return join_words(parts)
 
     return claim_of(
         "latency-reduced",

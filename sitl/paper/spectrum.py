@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from companion.analysis.interaction import FloatArray, interaction_matrix
 from companion.analysis.response import settled_prcs
 from companion.core.consensus.law import average_22, average_26, weighted
-from sitl.paper.graphs import Led, connected_graphs, describe, every_small_pair, random_pairs, random_parts, united
+from sitl.paper.graphs import Led, connected_graphs, describe, every_small_pair, random_pairs, random_parts, unite
 from sitl.paper.words import claim_of, verdict_of
 from sitl.report.claim import Claim, Progress, no_progress
 
@@ -40,7 +40,7 @@ def lemma_1(survey: GraphSurvey) -> Claim:
     """Positive eigenvalues where every connected part has a leader, on graphs of one part and of several parts."""
     random = np.random.default_rng(SEED)
     smallest = min(survey.all, key=lambda spectra: spectra.lambda_min)
-    in_parts = [_smallest_eigenvalue(united(random_parts(random))) for _ in range(UNIONS)]
+    in_parts = [_smallest_eigenvalue(unite(random_parts(random))) for _ in range(UNIONS)]
     least = min(smallest.lambda_min, *in_parts)
     measured = {
         "graphs_in_parts": float(UNIONS),
@@ -66,7 +66,7 @@ def lemma_1_converse(survey: GraphSurvey) -> Claim:
     nearest = [_nearest_to_zero(Led(graph, frozenset())) for graph in alone]
     for _ in range(UNIONS):
         first, *others = random_parts(random)
-        nearest.append(_nearest_to_zero(united([Led(first.graph, frozenset()), *others])))
+        nearest.append(_nearest_to_zero(unite([Led(first.graph, frozenset()), *others])))
     largest = max(nearest)
     singular = largest < ROUNDING
     if singular:

@@ -91,10 +91,10 @@ def seconds(value_s: float, digits: int = 1) -> str:
 
 def metres(values_m: Iterable[float], digits: int = 2) -> str:
     """ "1.75, 1.78 and 1.66 m"."""
-    return listed(f"{value_m:.{digits}f}" for value_m in values_m) + " m"
+    return join_words(f"{value_m:.{digits}f}" for value_m in values_m) + " m"
 
 
-def listed(parts: Iterable[str]) -> str:
+def join_words(parts: Iterable[str]) -> str:
     """ "a, b and c"; empty for nothing."""
     *most, last = list(parts) or [""]
     return f"{', '.join(most)} and {last}" if most else last

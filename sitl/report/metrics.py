@@ -174,7 +174,7 @@ def errors_m(track: Track, slot: Track, reference_enu_m: FloatArray, times_s: Fl
     return np.asarray(np.linalg.norm(track.at(times_s) - reference_enu_m - slot.at(times_s), axis=1))
 
 
-def standing(slots_enu_m: Mapping[int, Vector3]) -> Tracks:
+def stand_at(slots_enu_m: Mapping[int, Vector3]) -> Tracks:
     """Constant slots, as tracks."""
     return {i: Track(np.zeros(1), np.array([slot])) for i, slot in slots_enu_m.items()}
 

@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 
+from companion.analysis.interaction import FloatArray
 from sitl.autopilots.autopilot import DT_S
-from sitl.batch.bodies import ATTITUDE, RATES, AttitudeLoops, Bodies, RungeKutta
+from sitl.batch.bodies import ATTITUDE, RATES, ROWS, AttitudeLoops, Bodies
 from sitl.batch.columns import columns_of
 from sitl.batch.flight import Simulation, starts_at_rest
 from sitl.flight.scenario import Scenario
@@ -28,6 +29,29 @@ from sitl.vehicle.config import Airframe
 PLATOON = Path("config/scenarios/platoon.yaml")
 ROUNDS, ROUND_S = 5, 0.5
 INSTALL = "RotorPy is not installed; pip install '.[bench]' in the project's folder, or 'rotorpy[batched]==3.0.0'"
+
+
+class RungeKutta:
+    """The same bodies, integrated by the classical fourth-order Runge-Kutta method."""
+
+    def __init__(self, bodies: Bodies) -> None:
+        self._bodies = bodies
+        shape = (ROWS, bodies.hover_n.size)
+        self._rate, self._between, self._sum = np.empty(shape), np.empty(shape), np.empty(shape)
+
+    def step(self, state: FloatArray, command: FloatArray, wind_enu_m_s: FloatArray, dt_s: float) -> None:
+        bodies, rate, between, total = self._bodies, self._rate, self._between, self._sum
+        bodies.set_motors(state, command)
+        np.copyto(total, bodies.rate_of_change(state, command, wind_enu_m_s, rate))
+        for ahead_s, share in ((0.5 * dt_s, 2.0), (0.5 * dt_s, 2.0), (dt_s, 1.0)):
+            np.multiply(rate, ahead_s, out=between)
+            between += state
+            bodies.rate_of_change(between, command, wind_enu_m_s, rate)
+            np.multiply(rate, share, out=between)
+            total += between
+        total *= dt_s / 6.0
+        state += total
+        bodies.normalise(state)
 
 
 def main() -> int:

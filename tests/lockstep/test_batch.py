@@ -20,7 +20,7 @@ from sitl.batch.metrics import batch_figures
 from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.virtual_flight import Flown, fly_without_landing
-from sitl.report.metrics import Formation, formation_figures, standing
+from sitl.report.metrics import Formation, formation_figures, stand_at
 from sitl.report.progress import FlightProgress
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
@@ -173,7 +173,7 @@ def test_figures_with_sensor_noise_have_the_same_distribution() -> None:
         begin_s = began_s(scenario, flown)
         slots = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
         formation = Formation(begin_s, begin_s + FLOWN_S, begin_s)
-        lockstep = formation_figures(flown.tracks(), standing(slots), reference_of(scenario), formation)
+        lockstep = formation_figures(flown.tracks(), stand_at(slots), reference_of(scenario), formation)
         largest.append(lockstep.max_distance_m["1-2"])
         final.append(lockstep.final_error_m)
     assert are_of_one_distribution(largest, figures.largest_neighbouring_distance_m)

@@ -6,7 +6,7 @@ import pytest
 from common import ROOT
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_without_landing
-from sitl.report.metrics import errors_m, reference_positions_m, standing
+from sitl.report.metrics import errors_m, reference_positions_m, stand_at
 from sitl.report.progress import FlightProgress
 
 FIGURE_8 = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
@@ -33,7 +33,7 @@ def test_the_fleet_stays_within_a_decimetre_of_the_figure_8(overrides: tuple[str
     formation = flown.watch.formation
     assert formation is not None
     times_s = np.arange(formation.start_s + 10.0, formation.start_s + 60.0, 0.1)
-    slots = standing({member.id: member.slot_enu_m for member in scenario.fleet.vehicles})
+    slots = stand_at({member.id: member.slot_enu_m for member in scenario.fleet.vehicles})
     wanted_m = reference_positions_m(reference_of(scenario), formation.reference_start_s, times_s)
     assert np.ptp(wanted_m[:, 0]) > 5.0  # it flew the whole figure
     for i, track in flown.tracks().items():

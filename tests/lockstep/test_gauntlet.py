@@ -21,7 +21,7 @@ from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.virtual_flight import fly_without_landing
 from sitl.gauntlet.command import numbers_of
 from sitl.gauntlet.families import FAMILIES
-from sitl.gauntlet.flight import UNDISTURBED_EVERY, Job, distances, drawn, family_of, fly, has_runaway
+from sitl.gauntlet.flight import UNDISTURBED_EVERY, Job, distances, draw_flight, family_of, fly, has_runaway
 from sitl.gauntlet.summary import write_worst
 from sitl.report.metrics import Track
 from sitl.report.progress import FlightProgress
@@ -48,16 +48,16 @@ def arguments(*given: str) -> argparse.Namespace:
 
 @pytest.mark.parametrize("number", range(len(FAMILIES)))
 def test_seed_and_number_give_the_same_scenario(number: int) -> None:
-    first, second = drawn(3, number), drawn(3, number)
+    first, second = draw_flight(3, number), draw_flight(3, number)
     assert first == second
-    assert first.scenario != drawn(4, number).scenario
+    assert first.scenario != draw_flight(4, number).scenario
     assert first.family == family_of(number)
     assert 4 <= len(first.scenario.fleet.vehicles) <= 12
 
 
 def test_each_family_has_runaways() -> None:
     assert {family_of(number) for number in range(170) if has_runaway(number)} == set(FAMILIES)
-    flight = drawn(1, 9)
+    flight = draw_flight(1, 9)
     assert [pilot.vehicle for pilot in flight.scenario.stand_in.pilots] == [flight.runaway]
 
 
@@ -69,7 +69,7 @@ def test_only_the_named_families_are_flown() -> None:
 def test_ended_agents_start_again_but_those_of_some_px4() -> None:
     without = set()
     for number in islice(numbers_of(("leader_dies",)), 20):
-        scenario = drawn(3, number).scenario
+        scenario = draw_flight(3, number).scenario
         (end,) = scenario.agent_ends
         if end.restarts_after_s is None:
             without.add(scenario.stand_in.autopilot)
@@ -79,7 +79,7 @@ def test_ended_agents_start_again_but_those_of_some_px4() -> None:
 
 
 def test_a_flight_is_the_same_bit_for_bit_and_from_its_file(tmp_path: Path) -> None:
-    small = (n for n in numbers_of(("leader_leaves",)) if len(drawn(5, n).scenario.fleet.vehicles) == 4)
+    small = (n for n in numbers_of(("leader_leaves",)) if len(draw_flight(5, n).scenario.fleet.vehicles) == 4)
     number = next(small)
     flown = fly(Job(5, number, "ideal"))
     assert not flown.exception
@@ -95,7 +95,7 @@ def smallest_flight(family: str) -> int:
     numbers = (n for n in numbers_of((family,)) if n % UNDISTURBED_EVERY and not has_runaway(n))
 
     def ticks(number: int) -> float:
-        flight = drawn(1, number, "ideal")
+        flight = draw_flight(1, number, "ideal")
         return len(flight.scenario.fleet.vehicles) * flight.ends_s
 
     return min(islice(numbers, 6), key=ticks)

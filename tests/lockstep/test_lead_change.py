@@ -31,7 +31,7 @@ from sitl.report.metrics import (
     formation_figures,
     reference_positions_m,
     smallest_distance_m,
-    standing,
+    stand_at,
     tracking,
 )
 from sitl.report.progress import FlightProgress
@@ -80,7 +80,7 @@ def _flown(*overrides: str) -> Flown:
 def tracking_errors_m(flight: Flown, times_s: np.ndarray) -> dict[int, np.ndarray]:
     reference_enu_m = reference_positions_m(reference_of(flight.scenario), flight.formation.reference_start_s, times_s)
     slots = {member.id: member.slot_enu_m for member in flight.scenario.fleet.vehicles}
-    return {i: errors_m(track, standing(slots)[i], reference_enu_m, times_s) for i, track in flight.tracks.items()}
+    return {i: errors_m(track, stand_at(slots)[i], reference_enu_m, times_s) for i, track in flight.tracks.items()}
 
 
 def test_the_timeline_is_flown_with_five_leader_changes_in_one_formation() -> None:
@@ -145,7 +145,7 @@ def test_the_ring_follows_the_eight(law: str, most_m: float) -> None:
     errors = tracking_errors_m(flight, np.arange(flight.formation.start_s + 20.0, flight.formation.end_s, 0.02))
     assert max(float(error_m.max()) for error_m in errors.values()) < most_m
     slots = {member.id: member.slot_enu_m for member in flight.scenario.fleet.vehicles}
-    figures = formation_figures(flight.tracks, standing(slots), reference_of(flight.scenario), flight.formation)
+    figures = formation_figures(flight.tracks, stand_at(slots), reference_of(flight.scenario), flight.formation)
     assert figures.final_error_m < most_m
 
 

@@ -10,7 +10,7 @@ from common import ROOT
 from companion.types.flight import FlightPhase
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
-from sitl.report.metrics import FormationFigures, formation_figures, standing
+from sitl.report.metrics import FormationFigures, formation_figures, stand_at
 from sitl.report.progress import FlightProgress
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
@@ -35,7 +35,7 @@ def figures(*overrides: str) -> FormationFigures:
     assert flight.watch.formation is not None
     scenario = load_scenario(PLATOON, overrides)
     slots_enu_m = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
-    return formation_figures(flight.tracks(), standing(slots_enu_m), reference_of(scenario), flight.watch.formation)
+    return formation_figures(flight.tracks(), stand_at(slots_enu_m), reference_of(scenario), flight.watch.formation)
 
 
 def are_equal(one: Flown, other: Flown) -> bool:

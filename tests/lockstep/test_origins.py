@@ -18,7 +18,7 @@ from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.flight.watch import FlightWatch
-from sitl.report.metrics import formation_figures, standing
+from sitl.report.metrics import formation_figures, stand_at
 from sitl.report.progress import FlightProgress
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
@@ -56,7 +56,7 @@ class Observed:
         slots_enu_m = {member.id: member.slot_enu_m for member in self.scenario.fleet.vehicles}
         tracks = {stand_in.vehicle_id: stand_in.track() for stand_in in self.lockstep.stand_ins}
         return formation_figures(
-            tracks, standing(slots_enu_m), reference_of(self.scenario), self.watch.formation
+            tracks, stand_at(slots_enu_m), reference_of(self.scenario), self.watch.formation
         ).final_error_m
 
     def events_text(self) -> str:

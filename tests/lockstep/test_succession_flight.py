@@ -24,7 +24,7 @@ from sitl.flight.files import ids_of
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.watch import FlightWatch
-from sitl.report.metrics import errors_m, reference_positions_m, standing
+from sitl.report.metrics import errors_m, reference_positions_m, stand_at
 from sitl.report.progress import FlightProgress
 
 RING = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
@@ -83,7 +83,7 @@ def flown(*overrides: str, dead: Iterable[int] = (1,), for_s: float = 5.0) -> Fl
     assert watch.formation is not None
     times_s = np.arange(died_s, lockstep.now_s() - 0.1, 0.02)
     reference_enu_m = reference_positions_m(reference_of(scenario), watch.formation.reference_start_s, times_s)
-    slots = standing({member.id: member.slot_enu_m for member in scenario.fleet.vehicles})
+    slots = stand_at({member.id: member.slot_enu_m for member in scenario.fleet.vehicles})
     tracks = {s.vehicle_id: s.track() for s in lockstep.stand_ins if s.vehicle_id not in dead}
     errors = {i: errors_m(track, slots[i], reference_enu_m, times_s) for i, track in tracks.items()}
     return Flown(packets, decisions, errors, [report.status for report in lockstep.drain()])

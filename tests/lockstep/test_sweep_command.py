@@ -14,7 +14,7 @@ import pytest
 from common import ROOT
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_in_virtual_time
-from sitl.report.metrics import formation_figures, neighbouring_pairs, pair_name, standing
+from sitl.report.metrics import formation_figures, neighbouring_pairs, pair_name, stand_at
 from sitl.report.progress import FlightProgress, ShareProgress
 from sitl.sweep import flights
 from sitl.sweep.options import SweepOptions
@@ -49,7 +49,7 @@ def test_figures_agree_with_sitl_run(tmp_path: Path) -> None:
         flown = fly_in_virtual_time(scenario, FlightProgress("test", True, 0.0))
         assert flown.watch.formation is not None
         slots = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
-        expected = formation_figures(flown.tracks(), standing(slots), reference_of(scenario), flown.watch.formation)
+        expected = formation_figures(flown.tracks(), stand_at(slots), reference_of(scenario), flown.watch.formation)
         near = [pair_name(pair) for pair in neighbouring_pairs(slots)]
         row = rows[law]
         assert float(row["largest_neighbouring_distance_m"]) == pytest.approx(

@@ -23,7 +23,7 @@ from sitl.flight.files import ids_of
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.watch import FlightWatch
-from sitl.report.metrics import Formation, Track, errors_m, reference_positions_m, standing
+from sitl.report.metrics import Formation, Track, errors_m, reference_positions_m, stand_at
 from sitl.report.progress import FlightProgress
 
 SCENARIOS = ROOT / "config" / "scenarios"
@@ -96,7 +96,7 @@ class Flown:
         times_s = np.arange(self.formation.start_s + from_s, self.formation.end_s, 0.02)
         reference_m = reference_positions_m(reference_of(self.scenario), self.formation.reference_start_s, times_s)
         slots = {member.id: member.slot_enu_m for member in self.scenario.fleet.vehicles}
-        return np.array([errors_m(track, standing(slots)[i], reference_m, times_s) for i, track in self.tracks.items()])
+        return np.array([errors_m(track, stand_at(slots)[i], reference_m, times_s) for i, track in self.tracks.items()])
 
     def changes(self, before: Px4Mode, after: Px4Mode) -> list[tuple[list[Row], int]]:
         """The rows of each vehicle, and the index of the first in the new mode."""

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.recording.alignment import ClockLine, fitted_line
+from companion.recording.alignment import ClockLine, fit_line
 
 FLIGHT_S, PERIOD_S = 600.0, 0.1
 
@@ -24,7 +24,7 @@ class Clocks:
         sent_s = np.arange(0.0, FLIGHT_S, PERIOD_S)
         to_b_s = sent_s + least_ab_s + self._random.exponential(self.jitter_s, len(sent_s))
         to_a_s = sent_s + least_ba_s + self._random.exponential(self.jitter_s, len(sent_s))
-        line = fitted_line(sent_s, self.b_of(to_b_s), self.b_of(sent_s), to_a_s)
+        line = fit_line(sent_s, self.b_of(to_b_s), self.b_of(sent_s), to_a_s)
         assert line is not None
         return line
 
@@ -55,19 +55,19 @@ def test_one_early_message_does_not_decide() -> None:
     sent_s = np.arange(0.0, FLIGHT_S, PERIOD_S)
     sent_wrong_s = sent_s.copy()
     sent_wrong_s[1000] += 3.0
-    line = fitted_line(sent_wrong_s, clocks.b_of(sent_s + 0.003), clocks.b_of(sent_s), sent_s + 0.003)
+    line = fit_line(sent_wrong_s, clocks.b_of(sent_s + 0.003), clocks.b_of(sent_s), sent_s + 0.003)
     assert line is not None
     assert abs(clocks.error_s(line, 300.0)) < 1e-6
 
 
 def test_messages_in_one_direction_are_not_enough() -> None:
     some, none = np.array([1.0, 2.0]), np.array([])
-    assert fitted_line(some, some, none, none) is None
-    assert fitted_line(none, none, some, some) is None
+    assert fit_line(some, some, none, none) is None
+    assert fit_line(none, none, some, some) is None
 
 
 def test_a_single_message_each_way_gives_an_offset() -> None:
-    line = fitted_line(np.array([10.0]), np.array([110.003]), np.array([110.1]), np.array([10.103]))
+    line = fit_line(np.array([10.0]), np.array([110.003]), np.array([110.1]), np.array([10.103]))
     assert line is not None
     assert line.offset_s == pytest.approx(100.0, abs=1e-4)
     assert abs(line.rate) < 1e-3

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from companion.report.autopilot_logs import AutopilotLogs, LogError, log_files, match, read_log, read_logs
 from companion.report.findings import Severity
 from companion.report.load import StartRecords
-from companion.report.summary import judged
+from companion.report.summary import judge
 from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code
 from made_flights import AT_S, LoggedFaults, flight_of, records_of, write_dataflash, write_ulog
@@ -55,7 +55,7 @@ def test_what_the_autopilot_did_by_itself_is_found(suffix: str, starts: list[Sta
     )
     path = WRITERS[suffix](tmp_path / f"vehicle-1_log-1{suffix}", starts[0], faults)
     flight = flight_of(starts)
-    findings = judged(flight, read_logs([path], flight)).summary.findings
+    findings = judge(flight, read_logs([path], flight)).summary.findings
     assert [(one.severity, one.code, round(one.time_s)) for one in findings] == [
         (CRITICAL, Code.AUTOPILOT_FAILSAFE, 40),
         (WARNING, Code.VIBRATION_HIGH, 20),
@@ -69,7 +69,7 @@ def test_a_repeated_warning_is_one_finding_and_those_on_the_ground_are_none(
     messages = ((1.0, 4, "not ready"), (20.0, 4, "wind is high"), (25.0, 4, "wind is high"), (26.0, 6, "a note"))
     path = write_ulog(tmp_path / "vehicle-1_a.ulg", starts[0], LoggedFaults(messages=messages))
     flight = flight_of(starts)
-    findings = judged(flight, read_logs([path], flight)).summary.findings
+    findings = judge(flight, read_logs([path], flight)).summary.findings
     assert [(one.code, one.text) for one in findings] == [(Code.AUTOPILOT_MESSAGE, "wind is high")]
 
 

@@ -14,8 +14,8 @@ from companion.recording.records import DecisionRecord
 from companion.report.autopilot_logs import read_logs
 from companion.report.findings import FindingKind, Severity, finding, rows_of
 from companion.report.page import page_of, prose
-from companion.report.plotting import COLUMNS, STYLES, thinned, vehicle_look
-from companion.report.summary import judged
+from companion.report.plotting import COLUMNS, STYLES, thin_out, vehicle_look
+from companion.report.summary import judge
 from companion.report.track_figures import _view
 from companion.types.commands import CommandName
 from companion.types.flight import HealthFlag
@@ -107,7 +107,7 @@ def html(tmp_path_factory: pytest.TempPathFactory) -> str:
     )
     flight = flight_of(starts)
     log = write_ulog(tmp_path_factory.mktemp("log") / "vehicle-1_log-3.ulg", starts[0])
-    return page_of(judged(flight, read_logs([log], flight)), ZONE)
+    return page_of(judge(flight, read_logs([log], flight)), ZONE)
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +152,7 @@ def test_the_findings_lead_the_page_with_local_times(html: str, page: Page) -> N
 
 def test_the_page_of_a_vehicle_alone_has_no_figure_of_pairs() -> None:
     parsed = Page()
-    parsed.feed(page_of(judged(flight_of(records_of(1, 24.0))), ZONE))
+    parsed.feed(page_of(judge(flight_of(records_of(1, 24.0))), ZONE))
     assert not {"distances", "flags", "weights", "topology", "autopilot-1"} & set(parsed.figures)
     assert {"tracks", "errors", "timing"} <= set(parsed.figures)
 
@@ -167,7 +167,7 @@ def test_a_track_begins_at_the_first_position() -> None:
         return replace(record, position_enu_m=None, velocity_enu_m_s=None)
 
     flight = flight_of(records_of(2, 24.0, {1: Faults(decision=located_from_4_s), 2: Faults(decision=never_located)}))
-    assert "tracks" in page_of(judged(flight), ZONE)
+    assert "tracks" in page_of(judge(flight), ZONE)
     assert _view(flight) == ((49.0, 51.0), (59.0, 61.0))
 
 
@@ -176,7 +176,7 @@ def test_what_is_drawn_keeps_every_peak() -> None:
     values = np.zeros(30_000)
     values[[7, 15_001, 29_990]] = (5.0, -3.0, 9.0)
     values[20_000:20_100] = np.nan
-    drawn_s, drawn = thinned(time_s, values)
+    drawn_s, drawn = thin_out(time_s, values)
     assert drawn.size <= 3 * COLUMNS
     assert (np.nanmax(drawn), np.nanmin(drawn)) == (9.0, -3.0)
     assert np.isnan(drawn).any()

@@ -15,7 +15,7 @@ from sitl.report.metrics import (
     neighbouring_pairs,
     pair_name,
     settle_time_s,
-    standing,
+    stand_at,
 )
 
 SQUARE = (
@@ -40,7 +40,7 @@ def one_by_one(flight: BatchFlight, b: int, scenario: Scenario) -> FormationFigu
     tracks = {i + 1: Track(flight.times_s, positions[:, i]) for i in range(4)}
     end_s = float(flight.times_s[-1])
     slots = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
-    return formation_figures(tracks, standing(slots), reference_of(scenario), Formation(0.0, end_s, 0.0))
+    return formation_figures(tracks, stand_at(slots), reference_of(scenario), Formation(0.0, end_s, 0.0))
 
 
 @pytest.mark.parametrize("b", range(len(SCENARIOS)))

@@ -19,7 +19,6 @@ from sitl.batch.agents import Commands
 from sitl.batch.bodies import (
     AttitudeLoops,
     Bodies,
-    RungeKutta,
     euler_rad,
     product,
     quaternion_of_euler,
@@ -31,6 +30,7 @@ from sitl.vehicle.config import Airframe, AutopilotFile, StandIn
 from sitl.vehicle.control import AttitudeControl, AttitudeSetpoint
 from sitl.vehicle.dynamics import Body, small_turn, turned
 from stand_ins import Equations
+from tests.bench.batch_models import RungeKutta
 
 AIRFRAMES = [
     Airframe(),

@@ -21,7 +21,7 @@ from sitl.paper.graphs import (
     random_connected,
     random_leaders,
     random_parts,
-    united,
+    unite,
     within_range,
 )
 from sitl.paper.spectrum import (
@@ -87,7 +87,7 @@ def test_random_graphs_are_connected_and_have_leaders(seed: int) -> None:
     assert all(i in graph[j] and i != j for i in graph for j in graph[i])
     assert random_leaders(random, graph) <= graph.keys()
     parts = random_parts(random)
-    whole = united(parts)
+    whole = unite(parts)
     assert len(whole.graph) == sum(len(part.graph) for part in parts)
     assert hops(whole.graph, whole.leaders).keys() == whole.graph.keys()
 

@@ -20,19 +20,16 @@ from sitl.paper.flights import (
     behind_leader_m,
     broken_s,
     edges_m,
-    listed,
     paper_plans,
     response_s,
-    seconds,
     topology_at,
     total_s,
-    verdict_of,
 )
 from sitl.paper.graphs import printed_matrix
 from sitl.paper.report import SIGNS, LawRow, PaperReport, as_html, sentence, verdict_counts, versions, write_report
-from sitl.paper.words import words
+from sitl.paper.words import join_words, seconds, verdict_of, words
 from sitl.report.claim import Claim, ClaimVerdict, Erratum
-from sitl.report.metrics import Formation, FormationFlight, Track, standing
+from sitl.report.metrics import Formation, FormationFlight, Track, stand_at
 from sitl.report.summary import TopologyChange
 
 
@@ -144,9 +141,9 @@ def test_the_folder_holds_the_page_and_all_numbers(tmp_path: Path) -> None:
 def test_texts_of_figures() -> None:
     assert seconds(21.54) == "21.5 s"
     assert seconds(inf) == "never"
-    assert listed([]) == ""
-    assert listed(["a"]) == "a"
-    assert listed(["a", "b", "c"]) == "a, b and c"
+    assert join_words([]) == ""
+    assert join_words(["a"]) == "a"
+    assert join_words(["a", "b", "c"]) == "a, b and c"
     assert [sentence(text) for text in ("", "so it is", "It is.", "d23 is")] == ["", "So it is.", "It is.", "d23 is."]
     assert verdict_of(True) is ClaimVerdict.HOLDS
     assert verdict_of(False, True) is ClaimVerdict.CONDITION
@@ -165,7 +162,7 @@ def moving(*x_m: FloatArray) -> FormationFlight:
         i: Track(TIMES_S, np.stack([x, np.zeros_like(x), np.ones_like(x)], axis=1)) for i, x in enumerate(x_m, start=1)
     }
     slots = {i: (1.0 - i, 0.0, 0.0) for i in tracks}
-    return FormationFlight("weighted", tracks, standing(slots), [], point((2.0, 0.0, 1.0)), Formation(5.0, 15.0, 5.0))
+    return FormationFlight("weighted", tracks, stand_at(slots), [], point((2.0, 0.0, 1.0)), Formation(5.0, 15.0, 5.0))
 
 
 def test_edges_out_of_range_and_a_leader_alone() -> None:

@@ -23,7 +23,7 @@ from sitl.report.metrics import (
     reference_positions_m,
     settle_time_s,
     smallest_distance_m,
-    standing,
+    stand_at,
 )
 
 TIMES_S = np.linspace(0.0, 100.0, 5001)
@@ -38,7 +38,7 @@ def track(x: FloatArray | float, y: FloatArray | float = 0.0, z: FloatArray | fl
 
 def test_the_error_is_zero_in_the_slots() -> None:
     tracks = {i: track(slot[0]) for i, slot in SLOTS.items()}
-    figures = formation_figures(tracks, standing(SLOTS), ORIGIN, Formation(10.0, 70.0, 10.0))
+    figures = formation_figures(tracks, stand_at(SLOTS), ORIGIN, Formation(10.0, 70.0, 10.0))
     assert figures.duration_s == 60.0
     assert figures.wanted_distance_m == figures.max_distance_m == {"1-2": 1.5, "1-3": 3.0, "2-3": 1.5}
     assert figures.settle_s == 0.0
@@ -48,7 +48,7 @@ def test_the_error_is_zero_in_the_slots() -> None:
 def test_distances_outside_the_interval_are_not_used() -> None:
     # Vehicle 2 moves away with 0.01 m/s: at 20 s it is 1.7 m behind the first, at 60 s 2.1 m.
     tracks = {1: track(0.0), 2: track(-1.5 - 0.01 * TIMES_S)}
-    figures = formation_figures(tracks, standing({1: SLOTS[1], 2: SLOTS[2]}), ORIGIN, Formation(20.0, 60.0, 20.0))
+    figures = formation_figures(tracks, stand_at({1: SLOTS[1], 2: SLOTS[2]}), ORIGIN, Formation(20.0, 60.0, 20.0))
     assert figures.min_distance_m["1-2"] == pytest.approx(1.7)
     assert figures.max_distance_m["1-2"] == pytest.approx(2.1)
     assert figures.final_distance_m["1-2"] == pytest.approx(2.09)  # the mean of 58 s and 60 s
@@ -61,7 +61,7 @@ def test_distances_outside_the_interval_are_not_used() -> None:
 def test_an_exponential_settles_at_the_computed_time() -> None:
     # 1 m e^(-t/5 s), t from 30 s on, is 0.1 m after 5 s ln 10 = 11.513 s; samples are 20 ms apart.
     error = np.where(TIMES_S < 30.0, 1.0, np.exp(-(TIMES_S - 30.0) / 5.0))
-    figures = formation_figures({1: track(error)}, standing({1: SLOTS[1]}), ORIGIN, Formation(30.0, 90.0, 30.0))
+    figures = formation_figures({1: track(error)}, stand_at({1: SLOTS[1]}), ORIGIN, Formation(30.0, 90.0, 30.0))
     assert figures.settle_s == pytest.approx(5.0 * log(10.0), abs=0.021)
     assert figures.final_error_m == pytest.approx(exp(-59.0 / 5.0), rel=0.1)
 
@@ -69,7 +69,7 @@ def test_an_exponential_settles_at_the_computed_time() -> None:
 def test_settling_is_of_the_farthest_vehicle_and_after_the_last_excursion() -> None:
     late = np.where((TIMES_S > 50.0) & (TIMES_S < 52.01), 0.2, 0.0)
     tracks = {1: track(0.0), 2: track(-1.5 + late)}
-    figures = formation_figures(tracks, standing({1: SLOTS[1], 2: SLOTS[2]}), ORIGIN, Formation(40.0, 90.0, 40.0))
+    figures = formation_figures(tracks, stand_at({1: SLOTS[1], 2: SLOTS[2]}), ORIGIN, Formation(40.0, 90.0, 40.0))
     assert figures.settle_s == pytest.approx(12.02, abs=0.021)
 
 
@@ -77,14 +77,14 @@ def test_settling_lasts_to_the_end_on_every_axis() -> None:
     assert settle_time_s(np.arange(3.0), np.array([0.0, 0.0, 0.2])) is None
     assert settle_time_s(np.arange(5.0), np.array([0.0, 0.2, 0.1, 0.1, 0.1])) == 2.0
     assert errors_m(
-        track(0.0, 3.0, 4.0), standing({1: (0.0, 0.0, 0.0)})[1], np.zeros((1, 3)), np.array([5.0])
+        track(0.0, 3.0, 4.0), stand_at({1: (0.0, 0.0, 0.0)})[1], np.zeros((1, 3)), np.array([5.0])
     ) == pytest.approx([5.0])
 
 
 @pytest.mark.parametrize(("settles_after_s", "settle_s"), [(7.9, 7.9), (8.1, None), (9.6, None), (0.0, 0.0)])
 def test_less_than_two_seconds_within_the_bound_is_not_settled(settles_after_s: float, settle_s: float | None) -> None:
     error = np.where(settles_after_s > TIMES_S - 20.0, 0.2, 0.0)
-    figures = formation_figures({1: track(error)}, standing({1: SLOTS[1]}), ORIGIN, Formation(20.0, 30.0, 20.0))
+    figures = formation_figures({1: track(error)}, stand_at({1: SLOTS[1]}), ORIGIN, Formation(20.0, 30.0, 20.0))
     assert figures.settle_s == (None if settle_s is None else pytest.approx(settle_s, abs=0.021))
 
 
@@ -101,10 +101,10 @@ def test_errors_are_about_a_moving_reference_at_its_own_time() -> None:
     angle = 2 * pi * np.maximum(0.0, TIMES_S - 9.5) / 20.0
     slot = (-1.0, 0.5, 0.0)
     flown = track(2.0 * np.cos(angle) + slot[0], 2.0 * np.sin(angle) + slot[1], 1.0)
-    figures = formation_figures({4: flown}, standing({4: slot}), circle, Formation(10.0, 50.0, 9.5))
+    figures = formation_figures({4: flown}, stand_at({4: slot}), circle, Formation(10.0, 50.0, 9.5))
     assert figures.final_error_m < 1e-3
     assert figures.settle_s == 0.0
-    wrong = formation_figures({4: flown}, standing({4: slot}), circle, Formation(10.0, 50.0, 4.5))  # a quarter turn off
+    wrong = formation_figures({4: flown}, stand_at({4: slot}), circle, Formation(10.0, 50.0, 4.5))  # a quarter turn off
     assert wrong.final_error_m == pytest.approx(2.0 * sqrt(2.0), rel=1e-3)
 
 
@@ -137,7 +137,7 @@ def test_distances_are_independent_of_fleet_position_and_sample_times(
         axes = [x, np.full_like(x, offset[1]), np.full_like(x, offset[2])]
         tracks[vehicle_id] = Track(times_s, np.stack(axes, axis=1))
     figures = formation_figures(
-        tracks, standing({1: SLOTS[1], 2: SLOTS[2]}), point(offset), Formation(10.0, 20.0, 10.0)
+        tracks, stand_at({1: SLOTS[1], 2: SLOTS[2]}), point(offset), Formation(10.0, 20.0, 10.0)
     )
     assert figures.max_distance_m["1-2"] == pytest.approx(1.5, abs=1e-6)
     assert figures.min_distance_m["1-2"] == pytest.approx(1.5, abs=1e-6)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from companion.core.reference.blend import point
 from companion.report.plotting import COLOURS, MARKERS, STYLES
-from sitl.report.metrics import Formation, FormationFlight, Track, standing
+from sitl.report.metrics import Formation, FormationFlight, Track, stand_at
 from sitl.report.plots import save_comparison, save_figure_5, save_figure_6
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -25,7 +25,7 @@ def flight(law: str, vehicles: int = 4) -> FormationFlight:
         for i, slot in slots.items()
     }
     pairs = [pair for pair in combinations(slots, 2) if pair[1] - pair[0] == 1]
-    return FormationFlight(law, tracks, standing(slots), pairs, point((1.0, 0.0, 1.0)), Formation(110.0, 135.0, 109.9))
+    return FormationFlight(law, tracks, stand_at(slots), pairs, point((1.0, 0.0, 1.0)), Formation(110.0, 135.0, 109.9))
 
 
 @pytest.fixture

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from companion.core.reference.blend import point
-from sitl.report.metrics import Formation, Track, standing, tracking
+from sitl.report.metrics import Formation, Track, stand_at, tracking
 
-SLOTS = standing({1: (0.0, 0.0, 0.0), 2: (-2.0, 0.0, 0.0), 3: (-4.0, 0.0, 0.0)})
+SLOTS = stand_at({1: (0.0, 0.0, 0.0), 2: (-2.0, 0.0, 0.0), 3: (-4.0, 0.0, 0.0)})
 ORIGIN = point((0.0, 0.0, 0.0))
 FORMATION = Formation(0.0, 100.0, 0.0)
 
