@@ -43,7 +43,7 @@ Values = Callable[[VehicleLog], tuple[Floats, Floats]]
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class DrawnCurve:
     """Values (n,) over times (n,). Curves of one label share its entry in the legend."""
 
     label: str
@@ -53,18 +53,20 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
-class Panel:
+class CurvePanel:
     """Curves with one axis of values, which has `label` with its unit; `limits`: values with their names."""
 
     label: str
-    curves: Sequence[Curve]
+    curves: Sequence[DrawnCurve]
     limits: Sequence[tuple[float, str]] = ()
     low: float | None = None  # of the axis; None: by the curves
     high: float | None = None
     counts: bool = False  # the values are whole numbers
 
 
-def _draw(axis: TimeAxis, panels: Sequence[Panel], height_in: float, id_: str, title: str, caption: str) -> DrawnFigure:
+def _draw(
+    axis: TimeAxis, panels: Sequence[CurvePanel], height_in: float, id_: str, title: str, caption: str
+) -> DrawnFigure:
     figure = new_figure(height_in)
     places = list(figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
     for axes, panel in zip(places, panels, strict=True):
@@ -81,10 +83,10 @@ def _draw(axis: TimeAxis, panels: Sequence[Panel], height_in: float, id_: str, t
     return render(figure, id_, title, caption)
 
 
-def _of_vehicles(flight: FlightRecords, values_of: Values, **style: Any) -> list[Curve]:
+def _of_vehicles(flight: FlightRecords, values_of: Values, **style: Any) -> list[DrawnCurve]:
     """A curve for each vehicle, in its own look."""
     return [
-        Curve(f"vehicle {one.vehicle_id}", *values_of(one), vehicle_look(one.vehicle_id) | style)
+        DrawnCurve(f"vehicle {one.vehicle_id}", *values_of(one), vehicle_look(one.vehicle_id) | style)
         for one in flight.vehicles
     ]
 
@@ -93,7 +95,9 @@ def draw_altitude(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     """Altitude of every vehicle."""
     curves = _of_vehicles(flight, lambda one: (one.ticks.time_s, one.ticks.position_enu_m[:, 2]))
     caption = "As estimated on board, in the fleet frame."
-    return _draw(axis, [Panel("altitude above the origin [m]", curves)], 1.8, "altitude", "Altitude over time", caption)
+    return _draw(
+        axis, [CurvePanel("altitude above the origin [m]", curves)], 1.8, "altitude", "Altitude over time", caption
+    )
 
 
 def draw_distances(flight: FlightRecords, pairs: Sequence[PairDistance], axis: TimeAxis) -> DrawnFigure:
@@ -104,11 +108,11 @@ def draw_distances(flight: FlightRecords, pairs: Sequence[PairDistance], axis: T
         if index == 0 and pair.judged.any():
             label, style = f"{label}, smallest {pair.smallest_m:.2f} m", BLACK | {"linewidth": 2.2}
             nearest = np.array([pair.smallest_at_s]), np.array([pair.smallest_m])
-            curves.append(Curve("_", *nearest, BLACK | {"marker": "o", "markersize": 6, "zorder": 5}))
-        curves.append(Curve(label, pair.time_s, np.where(pair.judged, pair.distance_m, np.nan), style))
+            curves.append(DrawnCurve("_", *nearest, BLACK | {"marker": "o", "markersize": 6, "zorder": 5}))
+        curves.append(DrawnCurve(label, pair.time_s, np.where(pair.judged, pair.distance_m, np.nan), style))
     if pairs:
         required = _required(flight, pairs[0].pair)
-        curves.append(Curve("required by the filter, nearest pair", *required, {"color": GREY, "linewidth": 1.2}))
+        curves.append(DrawnCurve("required by the filter, nearest pair", *required, {"color": GREY, "linewidth": 1.2}))
     separation_m = flight.separation_m
     limits = [(separation_m, f"separation_m {separation_m:g} m")] if separation_m is not None else []
     farther = len(pairs) - MOST_PAIRS
@@ -117,7 +121,7 @@ def draw_distances(flight: FlightRecords, pairs: Sequence[PairDistance], axis: T
         f" separation_m counts it. {JUDGED}"
         + (f" {farther} pairs that stayed farther apart are left out." if farther > 0 else "")
     )
-    panel = Panel("distance [m]", curves, limits, low=0.0)
+    panel = CurvePanel("distance [m]", curves, limits, low=0.0)
     return _draw(axis, [panel], 2.5, "distances", "Inter-distances over time", caption)
 
 
@@ -135,7 +139,7 @@ def draw_errors(flight: FlightRecords, errors_m: Mapping[int, Floats], axis: Tim
     """Error to the slot of every vehicle; `errors_m` is per tick, by vehicle."""
     curves = _of_vehicles(flight, lambda one: (one.ticks.time_s, errors_m[one.vehicle_id]))
     caption = f"|(x - d) - r|: position less its slot offset, to the leader's reference at that time. {JUDGED}"
-    panel = Panel("error to slot [m]", curves, low=0.0)
+    panel = CurvePanel("error to slot [m]", curves, low=0.0)
     return _draw(axis, [panel], 1.9, "errors", "Error to the slot over time", caption)
 
 
@@ -149,7 +153,7 @@ def draw_prc(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
         drawstyle="steps-post",
     )
     caption = "1 is a leader, 2 has a leader as neighbour, and so on."
-    panel = Panel("PrC [-]", steps, counts=True)
+    panel = CurvePanel("PrC [-]", steps, counts=True)
     return _draw(axis, [panel], 1.3, "prc", "Priority coefficient (PrC) over time", caption)
 
 
@@ -168,10 +172,10 @@ def draw_weights(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure | None:
     if not users:
         return None
     panels = [
-        Panel(
+        CurvePanel(
             f"w of {one.vehicle_id} [-]",
             [
-                Curve(f"of neighbour {other}", one.ticks.time_s, use.weight, vehicle_look(other))
+                DrawnCurve(f"of neighbour {other}", one.ticks.time_s, use.weight, vehicle_look(other))
                 for other, use in one.ticks.neighbours.items()
             ],
             low=-0.05,
@@ -191,7 +195,7 @@ def draw_peer_ages(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     if flight.fleet:
         limit_ms = 1e3 * flight.fleet.peers.max_age_s
         limits = [(limit_ms, f"peers.max_age_s {limit_ms:g} ms")]
-    panel = Panel("age [ms]", curves, limits, low=0.0)
+    panel = CurvePanel("age [ms]", curves, limits, low=0.0)
     caption = "An older state than the limit is not used."
     return _draw(axis, [panel], 1.5, "peer-ages", "Age of the oldest neighbour state used", caption)
 
@@ -210,7 +214,7 @@ def draw_battery(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     names = ("leave_below_percent", "land_below_percent")
     values = [(name, getattr(flight.fleet, name, None)) for name in names]
     limits = [(value, f"{name} {value:g} %") for name, value in values if value is not None]
-    panel = Panel("charge [%]", curves, limits, low=0.0, high=105.0)
+    panel = CurvePanel("charge [%]", curves, limits, low=0.0, high=105.0)
     return _draw(axis, [panel], 1.5, "battery", "Battery over time", "As reported by the autopilots.")
 
 
@@ -225,7 +229,7 @@ def draw_wind(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
         return values_of
 
     names = ("east [m/s²]", "north [m/s²]")
-    panels = [Panel(name, _of_vehicles(flight, along(i), linewidth=0.9)) for i, name in enumerate(names)]
+    panels = [CurvePanel(name, _of_vehicles(flight, along(i), linewidth=0.9)) for i, name in enumerate(names)]
     caption = "Acceleration by wind as each agent estimates it; in steady wind all vehicles agree. Drawn is the mean over 2 s."
     return _draw(axis, panels, 2.2, "wind", "Estimated wind over time", caption)
 
@@ -245,8 +249,8 @@ def draw_interventions(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     left = _of_vehicles(flight, lambda one: (one.ticks.time_s, one.ticks.nearest_m - one.ticks.required_m))
     largest = max((float(curve.values.max(initial=0.0)) for curve in changed), default=0.0)
     panels = [
-        Panel("change [m/s²]", changed, low=0.0, high=max(1.0, 1.05 * largest)),
-        Panel("room [m]", left, [(0.0, "required distance")]),
+        CurvePanel("change [m/s²]", changed, low=0.0, high=max(1.0, 1.05 * largest)),
+        CurvePanel("room [m]", left, [(0.0, "required distance")]),
     ]
     caption = (
         "Above: by how much the separation filter changed the commanded acceleration. Below: distance of the nearest"
@@ -258,7 +262,7 @@ def draw_interventions(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
 def draw_position_errors(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     """Horizontal position error that each estimator reports."""
     curves = _of_vehicles(flight, lambda one: (one.statuses.time_s, one.statuses.error_horizontal_m))
-    panel = Panel("one sigma, horizontal [m]", curves, low=0.0)
+    panel = CurvePanel("one sigma, horizontal [m]", curves, low=0.0)
     caption = "From the recorded status reports, five a second."
     return _draw(axis, [panel], 1.5, "position-errors", "Position error as the estimators report it", caption)
 
@@ -266,7 +270,7 @@ def draw_position_errors(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
 def draw_lateness(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     """Lateness of every tick."""
     curves = _of_vehicles(flight, lambda one: (one.timing.time_s, one.timing.late_ms))
-    panel = Panel("lateness [ms]", curves, [(1e3 * LATE_S, f"one period, {1e3 * LATE_S:g} ms")], low=0.0)
+    panel = CurvePanel("lateness [ms]", curves, [(1e3 * LATE_S, f"one period, {1e3 * LATE_S:g} ms")], low=0.0)
     caption = "A tick that begins a period late is a missed tick."
     return _draw(axis, [panel], 1.5, "lateness", "Lateness of the ticks over time", caption)
 
@@ -285,11 +289,11 @@ def _draw_log(vehicle: VehicleLog, matched: MatchedLog, number: int, axis: TimeA
         ("GPS error [m]", log.position_error_m, LARGEST_POSITION_ERROR_M, "limit of the GPS error"),
         ("satellites [-]", log.satellites, LEAST_SATELLITES, "least satellites"),
     ]
-    panels = [Panel("altitude [m]", _altitudes(vehicle, matched))]
+    panels = [CurvePanel("altitude [m]", _altitudes(vehicle, matched))]
     for label, series, limit, name in rows:
         if series.time_s.size:
             limits = [] if limit is None else [(limit, f"{name}: {limit:g}")]
-            panels.append(Panel(label, [_logged(series.shifted(by_s))], limits))
+            panels.append(CurvePanel(label, [_logged(series.shifted(by_s))], limits))
     missing = [label.split(" [")[0] for label, series, _, _ in rows if not series.time_s.size]
     caption = (
         f"{log.name}, {log.make}. Aligned by motion: {100.0 * matched.agreement:.0f} % agreement of the velocities; log"
@@ -299,14 +303,14 @@ def _draw_log(vehicle: VehicleLog, matched: MatchedLog, number: int, axis: TimeA
     return _draw(axis, panels, 0.85 * len(panels), f"autopilot-{number}", title, caption)
 
 
-def _logged(series: Series) -> Curve:
-    return Curve("log of the autopilot", series.time_s, series.values, curve_look(1))
+def _logged(series: Series) -> DrawnCurve:
+    return DrawnCurve("log of the autopilot", series.time_s, series.values, curve_look(1))
 
 
-def _altitudes(vehicle: VehicleLog, matched: MatchedLog) -> list[Curve]:
+def _altitudes(vehicle: VehicleLog, matched: MatchedLog) -> list[DrawnCurve]:
     """Both altitudes; the log's has its own zero, so the median difference is taken off."""
     own_s, own_m = vehicle.ticks.time_s, vehicle.ticks.position_enu_m[:, 2]
-    curves = [Curve("recorded by the agent", own_s, own_m, curve_look(0))]
+    curves = [DrawnCurve("recorded by the agent", own_s, own_m, curve_look(0))]
     log = matched.log.altitude_m.shifted(matched.offset_s)
     inside = (log.time_s >= own_s[0]) & (log.time_s <= own_s[-1])
     if inside.any():

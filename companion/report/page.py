@@ -30,7 +30,7 @@ from companion.report.findings import FindingRow, Severity, rows_of
 from companion.report.flight import FlightEvent, FlightRecords, GivenCommand
 from companion.report.plotting import DrawnFigure, TimeAxis
 from companion.report.record_findings import LATE_P99_MS, TO_COMMAND_P99_MS
-from companion.report.summary import FlightSummary, Judgement
+from companion.report.summary import FlightSummary, JudgedFlight
 from companion.report.track_figures import draw_topology, draw_tracks
 
 SIGNS = {Severity.CRITICAL: "✖", Severity.WARNING: "▲", Severity.INFO: "●"}  # distinct without colour
@@ -39,7 +39,7 @@ Section = tuple[str, list[DrawnFigure]]
 Timed = TypeVar("Timed", FlightEvent, GivenCommand)
 
 
-def page_of(one: Judgement, zone: tzinfo) -> str:
+def page_of(one: JudgedFlight, zone: tzinfo) -> str:
     """Draws the figures and writes the page. `zone`: of the local times."""
     axis = TimeAxis(one.flight.ends_s, one.flight.begin_unix_s, zone, marks_of(rows_of(one.summary.findings)))
     return page(one.flight, one.summary, sections_of(one, axis), axis)
@@ -173,7 +173,7 @@ def _percent(value: float | None) -> str:
     return "not set" if value is None else f"{value:g}"
 
 
-def sections_of(one: Judgement, axis: TimeAxis) -> list[Section]:
+def sections_of(one: JudgedFlight, axis: TimeAxis) -> list[Section]:
     """(title, figures). A figure of something that never occurred is left out."""
     flight, pairs, errors_m = one.flight, one.pairs, one.errors_m
     drawn: list[tuple[str, list[DrawnFigure | None]]] = [

@@ -148,7 +148,7 @@ def _known(value: float, digits: int = 2) -> float | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Judgement:
+class JudgedFlight:
     """Pairs with the nearest first; errors to the slot by vehicle, per tick."""
 
     flight: FlightRecords
@@ -158,12 +158,12 @@ class Judgement:
     logs: AutopilotLogs
 
 
-def judge(flight: FlightRecords, logs: AutopilotLogs = NO_LOGS) -> Judgement:
+def judge(flight: FlightRecords, logs: AutopilotLogs = NO_LOGS) -> JudgedFlight:
     """Distances, errors and findings, from all records."""
     pairs = pair_distances(flight, grid_of(flight))
     errors_m = errors_to_slot_m(flight)
     findings = all_findings(flight, pairs, logs)
-    return Judgement(flight, pairs, errors_m, summary_of(flight, pairs, errors_m, findings), logs)
+    return JudgedFlight(flight, pairs, errors_m, summary_of(flight, pairs, errors_m, findings), logs)
 
 
 def all_findings(

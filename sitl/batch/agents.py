@@ -46,7 +46,7 @@ class Agents:
         self._laws = laws
         self._references = references
         self._candidates = candidates
-        self._commands = Commands(scenarios, columns, DT_S * TELEMETRY_STEPS)
+        self._commands = AttitudeCommands(scenarios, columns, DT_S * TELEMETRY_STEPS)
         self._commands.open_at(telemetry[6:9])
         self._hold_altitude_m = telemetry[2].copy()
         slots = laws.slot_enu_m.T
@@ -153,7 +153,7 @@ def _weighted_sum(used: ReceivedPackets, packets: FloatArray, shares: FloatArray
     return sums, has_neighbours
 
 
-class Commands:
+class AttitudeCommands:
     """The last admitted roll, pitch and thrust of all columns. Yaw stays at its initial value.
 
     The output limits see no gaps here: every vehicle ticks once in a period.

@@ -58,7 +58,7 @@ class FlightRecord(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Panel:
+class PlanPanel:
     """A part of a formation, in seconds of the tracks' clock, and the command at its start."""
 
     start_s: float
@@ -94,25 +94,27 @@ def save_plan_view(path: Path, flight: FormationFlight, watch: FlightRecord, nam
     figure.savefig(path, dpi=DPI)
 
 
-def panels_of(watch: FlightRecord) -> list[Panel]:
+def panels_of(watch: FlightRecord) -> list[PlanPanel]:
     """Panels from the first formation's start to the last one's end, divided by commands; at most the last MAX_PANELS.
 
     Commands within SOON_S share a panel, and a repeated command counts once.
     """
     start_s, end_s = watch.formations[0].start_s, watch.formations[-1].end_s
-    panels = [Panel(start_s, end_s, "form")]
+    panels = [PlanPanel(start_s, end_s, "form")]
     for given in watch.commands:
         at_s, last = watch.began_s + given.time_s, panels[-1]
         if not start_s < at_s < end_s or last.command.endswith(given.in_words):
             continue
         if at_s - last.start_s < SOON_S:
-            panels[-1] = Panel(last.start_s, end_s, f"{last.command}, {given.in_words}")
+            panels[-1] = PlanPanel(last.start_s, end_s, f"{last.command}, {given.in_words}")
         else:
-            panels[-1:] = [Panel(last.start_s, at_s, last.command), Panel(at_s, end_s, given.in_words)]
+            panels[-1:] = [PlanPanel(last.start_s, at_s, last.command), PlanPanel(at_s, end_s, given.in_words)]
     return panels[-MAX_PANELS:]
 
 
-def _extent_m(flight: FormationFlight, panels: Sequence[Panel], airspace: Airspace) -> tuple[FloatArray, FloatArray]:
+def _extent_m(
+    flight: FormationFlight, panels: Sequence[PlanPanel], airspace: Airspace
+) -> tuple[FloatArray, FloatArray]:
     """Lower left and upper right corner, (2,) each, of everything drawn, with a margin."""
     times_s = np.arange(panels[0].start_s, panels[-1].end_s, SAMPLE_S)
     flown_m = np.concatenate([track.at(times_s)[:, :2] for track in flight.tracks.values()])
@@ -124,7 +126,7 @@ def _extent_m(flight: FormationFlight, panels: Sequence[Panel], airspace: Airspa
     return middle_m - half_m - MARGIN * largest_m, middle_m + half_m + MARGIN * largest_m
 
 
-def _draw(axes: Axes, flight: FormationFlight, watch: FlightRecord, panel: Panel) -> None:
+def _draw(axes: Axes, flight: FormationFlight, watch: FlightRecord, panel: PlanPanel) -> None:
     times_s = np.linspace(panel.start_s, panel.end_s, max(2, round((panel.end_s - panel.start_s) / SAMPLE_S)))
     reference_m = reference_positions_m(flight.reference, flight.formation.reference_start_s, times_s)
     axes.plot(*reference_m[:, :2].T, **GUIDE)

@@ -237,7 +237,7 @@ def test_progress_is_plain_lines_without_a_terminal(flight: DirectedFlight) -> N
     text = flight.shown.getvalue()
     assert "\x1b" not in text
     assert "pair   step 1 of 2, prepare" in text
-    assert "UAV 1   leader    arm" in text
+    assert "vehicle 1   leader    arm" in text
     assert "PrC 2" in text
 
 

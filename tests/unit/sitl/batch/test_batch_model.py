@@ -15,7 +15,7 @@ from companion.types.autopilot import AttitudeTarget
 from lockstep_fleet import platoon
 from sitl.autopilots.autopilot import DT_S
 from sitl.autopilots.px4.autopilot import PX4_LOOPS
-from sitl.batch.agents import Commands
+from sitl.batch.agents import AttitudeCommands
 from sitl.batch.bodies import (
     AttitudeLoops,
     Bodies,
@@ -107,7 +107,7 @@ def test_output_limits_equal_those_of_the_agent() -> None:
     scenarios = [platoon()] * 5
     columns = columns_of(scenarios)
     n = columns.count
-    commands = Commands(scenarios, columns, 0.02)
+    commands = AttitudeCommands(scenarios, columns, 0.02)
     euler = np.stack([np.full(n, 0.05), np.full(n, -0.02), random.uniform(-3.0, 3.0, n)])
     commands.open_at(euler)
     limits = output_limits(Envelope())

@@ -4,7 +4,7 @@ from companion.types.commands import CommandName
 from sitl.flight.scenario import TimelineStep
 from sitl.flight.watch import FlightWatch
 from sitl.report.metrics import Formation
-from sitl.report.plan_view import Panel, panels_of
+from sitl.report.plan_view import PlanPanel, panels_of
 from sitl.report.summary import CommandGiven
 
 
@@ -25,12 +25,12 @@ LAND, ARM, TAKEOFF = (
 
 
 def test_a_formation_without_commands_is_one_panel() -> None:
-    assert panels_of(watched((5.0, TimelineStep(command=CommandName.FORM)))) == [Panel(110.0, 160.0, "form")]
+    assert panels_of(watched((5.0, TimelineStep(command=CommandName.FORM)))) == [PlanPanel(110.0, 160.0, "form")]
 
 
 def test_a_command_begins_a_panel_and_a_repeated_one_counts_once() -> None:
     panels = panels_of(watched((30.0, LAND), (30.5, LAND), (33.0, LAND)))
-    assert panels == [Panel(110.0, 130.0, "form"), Panel(130.0, 160.0, "land 2")]
+    assert panels == [PlanPanel(110.0, 130.0, "form"), PlanPanel(130.0, 160.0, "land 2")]
 
 
 def test_commands_that_follow_soon_share_a_panel() -> None:
