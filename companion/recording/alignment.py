@@ -1,8 +1,14 @@
-"""Recordings of several vehicles on one clock, which none of them has.
+"""Recordings of several vehicles on one clock, which none of them has, and which of them belong to one flight.
 
-The peer packets in /inbox compare the clocks of each pair of vehicles (`clock_line.py`). Agents receive packets only at their
-ticks, so a shortest delay is up to 20 ms: two vehicles are aligned to some milliseconds, and never worse than 10 ms as long as
-both receive each other.
+A packet that leaves at `sent_s` of clock a and is received at `received_s` of clock b shows that b is at most received - sent
+ahead of a. Packets the other way show how far it is ahead at least. The line in the middle of this corridor is the offset, as
+in NTP. It is exact where the shortest delays of both directions are equal. Otherwise it is wrong by half their difference, and
+never by more than half the width of the corridor.
+
+The peer packets in /inbox compare the clocks of each pair of vehicles. Agents receive packets only at their ticks, so a
+shortest delay is up to 20 ms: two vehicles are aligned to some milliseconds, and never worse than 10 ms as long as both
+receive each other. A folder with all files of a board has those of other days as well: what begins far from the flight is none
+of it.
 """
 
 from __future__ import annotations

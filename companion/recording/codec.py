@@ -1,7 +1,8 @@
-"""Messages of a recording <-> JSON.
+"""Messages of a recording <-> JSON, and the configuration in its header.
 
 `/inbox` and `/outbox` are exact, also for NaN, infinity and -0.0: what is decoded is what was encoded. What is empty or None
-is left out; telemetry, packets and the like are arrays (`compact.py`). The other messages are plain JSON.
+is left out; telemetry, packets and the like are arrays (`exact_json.py`). The other messages are plain JSON. The header has
+fleet file and vehicle file as JSON, with all defaults.
 
 In MCAP: `log_time` is that of `log_time_ns`, and `sequence` of /inbox and /outbox is the number of the tick in its start, from
 1, so that a reader sees a gap.

@@ -1,7 +1,8 @@
 """Structs as arrays, for JSON that is small and exact: [value of each field, in the order of the type].
 
 Made once from the type. An item of a union begins with the name of its type. `false` stands for None, so that `null` can only
-be a number that is not finite (`numbers.py`).
+be a number that JSON does not have, NaN or infinity: msgspec writes each as null. A message with any of them begins with the
+key `not_finite`: what each null stands for, in the order of the message.
 """
 
 from __future__ import annotations

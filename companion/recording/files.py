@@ -1,4 +1,12 @@
-"""The files of one flight: parts of limited size, each valid up to its last whole piece."""
+"""The files of one flight: parts of limited size, each valid up to its last whole piece, and the folder that they are in.
+
+A flight is one start of one agent, or of one program on the ground. Its files are `vehicle_3_0042_001.mcap`: the source, the
+number of the flight, and the part. The number counts on from the flights in the folder, because a clock on board may be wrong.
+The folder may use a limited part of the disk: the oldest whole flights make room.
+
+A .tlog has each MAVLink packet after its time, 8 bytes of microseconds of Unix time, the most significant first.
+QGroundControl, Mission Planner and pymavlink write and read such files.
+"""
 
 from __future__ import annotations
 

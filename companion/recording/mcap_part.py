@@ -1,4 +1,11 @@
-"""A second of messages, as it is put together in the event loop: framed there, compressed and written elsewhere."""
+"""One MCAP file: messages of a second as a chunk, and the bytes of the file's beginning, of each chunk, and of its end.
+
+A chunk is put together in the event loop: framed there, compressed and written elsewhere. The records are those of the package
+`mcap`. Its `Writer` is not used for two reasons. It frames each message in Python, which here would hold the interpreter in the
+writing thread; and its compression level is fixed, which would make files a seventh larger. There is no message index:
+uncompressed, it would be a fifth of a file. Viewers then read a file from its beginning, as they do with one that power loss
+has cut.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Recorder of an agent: its inputs, decisions, timing and events. It never raises and never waits for a disk."""
+"""Recorder of an agent: its inputs, decisions, timing and events; and of a program on the ground: statuses and commands.
+
+It never raises and never waits for a disk.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,12 @@
-"""The topics of a recording and their messages. One MCAP file has one start of one agent, or a part of it.
+"""The topics of a recording, their messages, how a decision becomes one, and their JSON Schemas for other programs.
 
-Messages are JSON. `/inbox` and `/outbox` are exact: fed to the same agent again, the inputs give the same outputs. What is
-only to be looked at (`/decision`, `/timing`) is rounded. Times without other words are of the vehicle's monotonic clock.
+One MCAP file has one start of one agent, or a part of it. Messages are JSON. `/inbox` and `/outbox` are exact: fed to the same
+agent again, the inputs give the same outputs. What is only to be looked at (`/decision`, `/timing`) is rounded. Times without
+other words are of the vehicle's monotonic clock.
+
+The schemas are made from the types. Foxglove, Lichtblick and PlotJuggler read objects, arrays of numbers, texts or objects, and
+plain values; nothing else. So None is not in a schema (null is accepted anyway), and what is of no fixed form is left out: it
+is in the messages all the same.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Where the pieces of a recording are written: in a thread, so that no disk delays a tick, or at once in virtual time."""
+"""Where the pieces of a recording are written: in a thread, so that no disk delays a tick, or at once in virtual time.
+
+What is lost is counted, and reported where losses begin and end.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`companion replay`: the recordings of a folder, one after the other."""
+"""`companion replay`: the recordings of a folder, one after the other, and the text about them."""
 
 from __future__ import annotations
 

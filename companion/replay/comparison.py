@@ -1,4 +1,9 @@
-"""A recording, replayed with its own configuration: every output of the agent must be the recorded one."""
+"""A recording, fed to an agent again.
+
+With its own configuration every output must be the recorded one, bit for bit. With other settings the result is what the agent
+would have commanded in each recorded situation: the inputs stay those of the flight, as the vehicle does not fly by the other
+commands, nor do the others.
+"""
 
 from __future__ import annotations
 

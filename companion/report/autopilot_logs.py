@@ -1,4 +1,7 @@
-"""What the report takes from the log of an autopilot, whatever its make. Times are seconds of the autopilot's clock."""
+"""Logs of the autopilots: found in a folder, read, and given to the vehicle and the time of their motion.
+
+The velocities of log and recording must agree. Times of a log are seconds of the autopilot's clock.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads the recordings of a flight: one process for each vehicle."""
+"""Reads the recordings of a flight, one process for each vehicle, and makes columns of their records."""
 
 from __future__ import annotations
 

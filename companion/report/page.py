@@ -1,4 +1,4 @@
-"""The page: one HTML file with everything in it."""
+"""The page: one HTML file with everything in it, its figures by section, and what of the configuration a reader needs."""
 
 from __future__ import annotations
 

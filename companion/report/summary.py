@@ -1,4 +1,4 @@
-"""Key figures of a flight, and what `--json` prints."""
+"""Judges a flight: all findings, its key figures, and what `--json` prints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Results folders: one per run, never shared by two runs, never emptied under a run that still writes into it."""
+"""Results folders: one per run, never shared by two runs, never emptied under a run that still writes into it.
+
+Also the tables of figures that commands print.
+"""
 
 from __future__ import annotations
 

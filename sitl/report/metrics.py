@@ -1,4 +1,7 @@
-"""Tracks of vehicles as arrays and CSV files: true positions of stand-ins, reported positions of all others."""
+"""Tracks of vehicles (true positions of stand-ins, reported positions of all others) and the figures of a flight from them.
+
+Pure: arrays in, figures out; tracks are also written and read as CSV files.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The live view of a flight: a headline and one line per vehicle."""
+"""What is shown while a command works: the live view of a flight, and the share done of a long computation.
+
+Lines are refreshed in place on a terminal and printed at intervals elsewhere.
+"""
 
 from __future__ import annotations
 

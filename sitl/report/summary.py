@@ -1,4 +1,4 @@
-"""The summary of a flight: summary.json, and the lines printed at its end."""
+"""The summary of a flight: summary.json, the lines printed at its end, and whether the machine was too busy for real time."""
 
 from __future__ import annotations
 
