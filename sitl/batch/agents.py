@@ -1,4 +1,7 @@
-"""companion.core.agent in formation, for many vehicles: telemetry and packets of a group -> its attitude targets."""
+"""companion.core.agent in formation, for many vehicles: telemetry and packets of a group -> its attitude targets.
+
+Its setpoint and output limits are here too: acceleration -> limited targets. Yaw stays at its initial value.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The stand-ins for many vehicles: delayed targets, attitude loops, bodies and telemetry."""
+"""The stand-ins for many vehicles: delayed targets, attitude loops, bodies, wind, sensor errors and telemetry."""
 
 from __future__ import annotations
 

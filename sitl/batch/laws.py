@@ -1,4 +1,7 @@
-"""companion.core.consensus.law for many vehicles: packets of the neighbours, weights and reference -> acceleration."""
+"""companion.core.consensus.law for many vehicles: packets of the neighbours, weights and reference -> acceleration.
+
+Each distinct reference trajectory is evaluated once per time.
+"""
 
 from __future__ import annotations
 

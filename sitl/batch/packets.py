@@ -1,8 +1,8 @@
-"""Peer packets sent and received by all vehicles: companion.core.consensus.peers in arrays.
+"""Peer packets sent and received by all vehicles: companion.core.consensus.peers and `sitl.links.network` in arrays.
 
 Times are exact, as in lockstep: a packet is used from its receiver's first tick after its arrival. It is extrapolated from the
-tick of its first use without jitter; in lockstep the agents measure that delay while they hover. Plausibility checks of peers
-are left out: a peer faster than `max_speed_m_s` is used too.
+tick of its first use without jitter; in lockstep the agents measure that delay while they hover. On a link counts the newest
+packet, with random loss and delay. Plausibility checks of peers are left out: a peer faster than `max_speed_m_s` is used too.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Flies one flight of the gauntlet and measures it."""
+"""Draws one flight of the gauntlet, flies it and measures it: closest distances, and which vehicles reached their slots.
+
+The number of a flight decides its family; seed and number decide everything else.
+"""
 
 from __future__ import annotations
 

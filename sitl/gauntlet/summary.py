@@ -1,4 +1,4 @@
-"""Statistics of the flights of each family, as data and as a table."""
+"""Statistics of the flights of each family as data, as a table and as a page, and the worst flights as scenario files."""
 
 from __future__ import annotations
 

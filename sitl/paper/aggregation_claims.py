@@ -1,4 +1,4 @@
-"""Claims on figure 4: four vehicles gather with a range of 3 m, under the average laws and the weighted law. All flown claims."""
+"""Claims on figure 4: four vehicles gather with a range of 3 m, under three laws. And all claims on flights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The flights for the paper's figures, flown by the agents in virtual time."""
+"""The flights for the paper's figures, flown by the agents in virtual time, and what is measured of them.
+
+A `Book` has all flights by subject, law and model. Topology and interaction matrices come from the vehicles' own reports.
+"""
 
 from __future__ import annotations
 

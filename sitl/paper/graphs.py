@@ -1,4 +1,7 @@
-"""Graphs for the checks of the theory: all small connected ones, random larger ones, and a constructed counterexample."""
+"""Graphs for the checks of the theory, and the matrices that the paper prints.
+
+All small connected graphs, random larger ones, and a constructed counterexample.
+"""
 
 from __future__ import annotations
 

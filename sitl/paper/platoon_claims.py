@@ -1,4 +1,4 @@
-"""Claims on figures 5 and 6: the platoon under both average laws and the weighted law."""
+"""Claims on figures 5 to 8: the platoon under both average laws and the weighted law, in simulation and with sensor noise."""
 
 from __future__ import annotations
 

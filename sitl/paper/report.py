@@ -1,4 +1,4 @@
-"""The report: index.html and claims.json from claims, errata and figures."""
+"""The report: index.html and claims.json from claims, errata, figures, the table of laws and the study beyond the paper."""
 
 from __future__ import annotations
 

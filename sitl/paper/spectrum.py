@@ -1,4 +1,4 @@
-"""Claims on the eigenvalues of G: section 2.2, Lemmas 1 and 2, Corollary 2."""
+"""Claims on the eigenvalues of G: section 2.2, Lemmas 1 and 2, Corollary 2, and the survey of graphs behind them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Claim on Algorithm 1, run tick by tick on all vehicles: the final PrCs, the time to reach them, and their limits."""
+"""Claims on Algorithm 1, the convergence (Proposition 1, Corollary 1) and the comparison of laws (Proposition 2)."""
 
 from __future__ import annotations
 
