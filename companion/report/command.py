@@ -6,6 +6,8 @@ import errno
 import os
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, tzinfo
 from pathlib import Path
@@ -16,7 +18,7 @@ from companion.report.findings import Severity, rows_of
 from companion.report.load import load
 from companion.report.page import page_of, verdict
 from companion.report.summary import judge
-from companion.tools.output import json_text
+from companion.tools.output import complete_or_absent, json_text
 from companion.types.errors import RefusedCommandError
 
 EXIT_WRITTEN, EXIT_CRITICAL = 0, 1
@@ -52,7 +54,8 @@ def run_report(options: ReportOptions) -> int:
     steps = Steps()
     out = options.out or (options.folder if options.folder.is_dir() else options.folder.parent) / FILE_NAME
     if options.folder.exists():
-        _check_writable(out)
+        with _refusing_to_write(out):
+            _check_writable(out)
     try:
         named = named_logs(options.logs)
         flight = load(options.folder, steps.show)
@@ -66,7 +69,8 @@ def run_report(options: ReportOptions) -> int:
     one = judge(flight, logs)
     steps.show("drawing the figures")
     html = page_of(one, _local_zone(flight.begin_unix_s))
-    _write(out, html)
+    with _refusing_to_write(out), complete_or_absent(out) as file:
+        file.write(html)
     if options.as_json:
         print(json_text(one.summary))
     steps.show(f"{verdict(rows_of(one.summary.findings))}: {out}")
@@ -81,32 +85,18 @@ def _local_zone(unix_s: float) -> tzinfo:
 
 
 def _check_writable(out: Path) -> None:
-    """Raises ReportError."""
+    """Raises OSError."""
+    if out.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    trial = out.with_name(f"{out.name}.part")
+    trial.touch()
+    trial.unlink()
+
+
+@contextmanager
+def _refusing_to_write(out: Path) -> Iterator[None]:
+    """Raises ReportError in place of OSError."""
     try:
-        if out.is_dir():
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-        _part_of(out).touch()
-        _part_of(out).unlink()
+        yield
     except OSError as error:
-        raise _not_written(out, error) from error
-
-
-def _write(out: Path, html: str) -> None:
-    """As a whole or not at all. Raises ReportError."""
-    part = _part_of(out)
-    try:
-        part.write_text(html, encoding="utf-8")
-        part.replace(out)
-    except OSError as error:
-        raise _not_written(out, error) from error
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def _part_of(out: Path) -> Path:
-    """The page while it is not complete."""
-    return out.with_name(f"{out.name}.part")
-
-
-def _not_written(out: Path, error: OSError) -> ReportError:
-    return ReportError(f"{out}: cannot be written: {error.strerror}; choose another file with --out")
+        raise ReportError(f"{out}: cannot be written: {error.strerror}; choose another file with --out") from error

@@ -9,11 +9,10 @@ import csv
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any, TextIO, Union, get_args, get_origin
+from typing import Annotated, Any, Union, get_args, get_origin
 
 from msgspec import Struct
 from msgspec.structs import fields
@@ -21,6 +20,7 @@ from msgspec.structs import fields
 from companion.recording.alignment import RecordingClock, align
 from companion.recording.reader import Recording, recordings
 from companion.recording.records import DECISION, STATUS, DecisionRecord
+from companion.tools.output import complete_or_absent
 from companion.types.errors import UnusableError
 from companion.types.status import NO_STATE_AGE_S
 from companion.types.values import printable
@@ -183,7 +183,7 @@ def _names(found: Sequence[Recording]) -> list[str]:
 def _write(path: Path, recording: Recording, clock: RecordingClock, begin_s: float, kind: CsvKind) -> Written:
     """Raises OSError."""
     rows = 0
-    with _complete_or_absent(path) as file:
+    with complete_or_absent(path) as file:
         writer = csv.writer(file)
         writer.writerow((*TIME_COLUMNS, *kind.columns))
         for message in recording.read([kind.topic], _warn):
@@ -191,18 +191,6 @@ def _write(path: Path, recording: Recording, clock: RecordingClock, begin_s: flo
             writer.writerow((round(common_s - begin_s, DIGITS), round(common_s, DIGITS), *kind.cells(message.value)))
             rows += 1
     return Written(path, rows)
-
-
-@contextmanager
-def _complete_or_absent(path: Path) -> Iterator[TextIO]:
-    """A file that ends in .part until it is complete, and then replaces an older one; after an exception it is removed."""
-    part = path.with_name(f"{path.name}.part")
-    try:
-        with part.open("w", newline="", encoding="utf-8") as file:
-            yield file
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _warn(line: str) -> None:

@@ -1,9 +1,11 @@
-"""What commands print: findings in columns, and JSON."""
+"""What commands print (findings in columns, JSON), and files that are complete or absent."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TextIO
 
 import msgspec
 
@@ -33,3 +35,18 @@ def line_printer(as_json: bool) -> Callable[[Iterable[str]], None]:
                 print(line)
 
     return show
+
+
+@contextmanager
+def complete_or_absent(path: Path) -> Iterator[TextIO]:
+    """A file that ends in .part until it is complete, and then replaces an older one; after an exception it is removed.
+
+    Raises OSError.
+    """
+    part = path.with_name(f"{path.name}.part")
+    try:
+        with part.open("w", newline="", encoding="utf-8") as file:
+            yield file
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
