@@ -281,3 +281,18 @@ def climb(vehicle: VehicleState, height_m: float, has_ended: Truth) -> Procedure
         truth_time=mode_time_s,
         timeout_s=15.0 + 2.0 * height_m,
     )
+
+
+# What is the same for every autopilot type; a profile adds the rest.
+MODES: dict[FlightPhase, frozenset[AutopilotMode]] = {
+    FlightPhase.RELEASE: frozenset({M.HOLD}),
+    FlightPhase.LAND: frozenset({M.LAND}),
+    FlightPhase.RETURN: frozenset({M.RETURN}),
+}
+PROCEDURES: dict[CommandName, ProcedureBuilder] = {
+    CommandName.ARM: arm,
+    CommandName.HOLD: hold,
+    CommandName.LAND: land,
+    CommandName.RETURN: return_home,
+    CommandName.DISARM: disarm,
+}

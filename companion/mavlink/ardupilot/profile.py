@@ -6,9 +6,11 @@ from dataclasses import replace
 
 from companion.core.autopilot import (
     HOVER,
+    MODES,
     NEAR_CONFIGURED,
     OK,
     PILOTS_CHOICE,
+    PROCEDURES,
     REFUSAL,
     SHORTEST_TIMEOUT_S,
     WARNING,
@@ -17,20 +19,15 @@ from companion.core.autopilot import (
     ParameterRule,
     Procedure,
     always,
-    arm,
     climb,
-    disarm,
-    hold,
-    land,
     mode_is,
     mode_time_s,
     one_of,
-    return_home,
     with_bit,
 )
 from companion.types.autopilot import AutopilotMode, LandedState, SetMode, VehicleState
 from companion.types.commands import CommandName
-from companion.types.flight import FlightPhase
+from companion.types.flight import ON_GROUND, FlightPhase
 from companion.types.notices import Code
 
 P, M, C = FlightPhase, AutopilotMode, CommandName
@@ -114,29 +111,15 @@ PARAMETERS: tuple[ParameterRule, ...] = (
 
 # ArduCopter arms, climbs, holds and flies formation in GUIDED. It leaves formation for BRAKE.
 PROFILE = AutopilotProfile(
-    modes={
-        P.PREPARE: frozenset({M.OFFBOARD}),
-        P.READY: frozenset({M.OFFBOARD}),
-        P.ARM: frozenset({M.OFFBOARD}),
-        P.ARMED: frozenset({M.OFFBOARD}),
+    modes=MODES
+    | dict.fromkeys(ON_GROUND, frozenset({M.OFFBOARD}))
+    | {
         P.TAKEOFF: frozenset({M.OFFBOARD}),
         P.HOLD: frozenset({M.OFFBOARD, M.HOLD}),
         P.ENGAGE: frozenset({M.OFFBOARD, M.HOLD}),
         P.FORMATION: frozenset({M.OFFBOARD}),
-        P.RELEASE: frozenset({M.HOLD}),
-        P.LAND: frozenset({M.LAND}),
-        P.RETURN: frozenset({M.RETURN}),
     },
-    procedures={
-        C.PREPARE: _enter_guided,
-        C.ARM: arm,
-        C.TAKEOFF: _take_off_in_guided,
-        C.FORM: _enter_guided,
-        C.HOLD: hold,
-        C.LAND: land,
-        C.RETURN: return_home,
-        C.DISARM: disarm,
-    },
+    procedures=PROCEDURES | {C.PREPARE: _enter_guided, C.TAKEOFF: _take_off_in_guided, C.FORM: _enter_guided},
     flies_on_in_silence=True,  # for GUID_TIMEOUT, 3 s; then it levels and keeps its altitude, but not its position
     parameters=PARAMETERS,
     decide_in_silence=("GUID_TIMEOUT", "GUID_OPTIONS"),

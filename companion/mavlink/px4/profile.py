@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from companion.core.autopilot import (
     HOVER,
+    MODES,
     NEAR_CONFIGURED,
     OK,
     PILOTS_CHOICE,
+    PROCEDURES,
     REFUSAL,
     SHORTEST_TIMEOUT_S,
     WARNING,
@@ -16,20 +18,16 @@ from companion.core.autopilot import (
     ParameterRule,
     Procedure,
     always,
-    arm,
     climb,
-    disarm,
     hold,
-    land,
     mode_is,
     mode_time_s,
     one_of,
-    return_home,
     with_bit,
 )
 from companion.types.autopilot import AutopilotMode, SetMode, VehicleState
 from companion.types.commands import CommandName
-from companion.types.flight import FlightPhase
+from companion.types.flight import ON_GROUND, FlightPhase
 from companion.types.notices import Code
 
 P, M, C = FlightPhase, AutopilotMode, CommandName
@@ -144,29 +142,15 @@ PARAMETERS: tuple[ParameterRule, ...] = (
 )
 
 PROFILE = AutopilotProfile(
-    modes={
-        P.PREPARE: frozenset({M.HOLD}),
-        P.READY: frozenset({M.HOLD}),
-        P.ARM: frozenset({M.HOLD}),
-        P.ARMED: frozenset({M.HOLD}),
+    modes=MODES
+    | dict.fromkeys(ON_GROUND, frozenset({M.HOLD}))
+    | {
         P.TAKEOFF: frozenset({M.TAKEOFF, M.HOLD}),
         P.HOLD: frozenset({M.HOLD}),
         P.ENGAGE: frozenset({M.HOLD, M.OFFBOARD}),
         P.FORMATION: frozenset({M.OFFBOARD}),
-        P.RELEASE: frozenset({M.HOLD}),
-        P.LAND: frozenset({M.LAND}),
-        P.RETURN: frozenset({M.RETURN}),
     },
-    procedures={
-        C.PREPARE: hold,
-        C.ARM: arm,
-        C.TAKEOFF: _take_off,
-        C.FORM: _enter_offboard,
-        C.HOLD: hold,
-        C.LAND: land,
-        C.RETURN: return_home,
-        C.DISARM: disarm,
-    },
+    procedures=PROCEDURES | {C.PREPARE: hold, C.TAKEOFF: _take_off, C.FORM: _enter_offboard},
     flies_on_in_silence=False,  # COM_OF_LOSS_T after the last setpoint its own failsafe acts
     parameters=PARAMETERS,
     decide_in_silence=("COM_OF_LOSS_T", "COM_OBL_RC_ACT"),
