@@ -117,9 +117,8 @@ OBSTACLE, FENCE, SPEED = Rank.OBSTACLE, Rank.FENCE, Rank.SPEED
 BOUNDARY_RESPONSE_1_S = 4.0  # k: how fast b may approach 0; 1/k is longer than the attitude lag
 SLOPE_1_S = 2.0  # of the approach speed near the boundary
 FASTEST_RETURN_M_S = 1.0  # demanded beyond the boundary
-NEVER_WANTED_M_S2 = (
-    20.0  # twice gravity: no acceleration is larger, so a constraint that allows all up to this cannot matter
-)
+# Twice gravity: no acceleration is larger, so a constraint that allows all up to this cannot matter.
+NEVER_WANTED_M_S2 = 20.0
 SPEED_RESPONSE_1_S = 2.0  # k of the speed limit; about PX4's MPC_XY_VEL_P_ACC, 1.8
 STILL_M_S = 0.1  # below this speed its direction means nothing
 

@@ -35,9 +35,8 @@ class Ahead(Struct, frozen=True, gc=False):
 
 
 KEPT_S = 1.0  # an autopilot without setpoints keeps its attitude for so long
-COAST_1_S = (
-    0.25  # decay of the speed of a level multirotor: drag of a small open quadrotor, less than most (analysis/pace.py)
-)
+# Decay of the speed of a level multirotor: drag of a small open quadrotor, less than most (analysis/pace.py).
+COAST_1_S = 0.25
 GROWS_S = 0.4  # from the expected position to the whole way
 DESCENT_M_S = 1.5  # of an autopilot that lands: PX4 MPC_Z_V_AUTO_DN, and more than its MPC_LAND_SPEED of 0.7
 LANDS_S = 0.6  # PX4's smallest COM_OF_LOSS_T that the audit accepts (SHORTEST_TIMEOUT_S)
@@ -245,11 +244,8 @@ class Motions:
         x, y, z = vehicle.position_enu_m
         for peer_id, peer in peers.items():
             packet, age_s = peer.packet, now_s - peer.measured_s
-            there_enu_m, moving_enu_m_s, acceleration = (
-                packet.motion.position_enu_m,
-                packet.motion.velocity_enu_m_s,
-                packet.motion.acceleration_enu_m_s2,
-            )
+            there_enu_m, moving_enu_m_s = packet.motion.position_enu_m, packet.motion.velocity_enu_m_s
+            acceleration = packet.motion.acceleration_enu_m_s2
             is_fresh, (px, py, pz) = peer_id in fresh, there_enu_m
             if age_s > FORGOTTEN_S:
                 continue

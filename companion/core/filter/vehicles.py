@@ -46,9 +46,8 @@ from companion.types.values import Vector3
 # Where no norm or paper stands beside a value, the flights of tests/unit/core/filter try it.
 PLANNED_SHARE = 0.5  # of the acceleration at the tilt limit, planned for braking; the rest is for wind (docs/safety.md)
 ALONE_SHARE = 0.6  # of that, where the own vehicle alone makes way: others may stand behind it
-UNSEEN_DELAY_S = (
-    0.1  # transport delay that no receiver can measure without a common clock; docs/faults.md flies with as much
-)
+# Transport delay that no receiver can measure without a common clock; docs/faults.md flies with as much.
+UNSEEN_DELAY_S = 0.1
 # The same and the delay of the own response, before a vehicle that flies towards this one. A pilot's vehicle reports no
 # acceleration: it may have reached 1.6 m/s in the 0.4 s before others make way.
 PURSUED_S = 0.4

@@ -93,11 +93,7 @@ class GuidanceStage:
     ) -> Guidance:
         """Slot, heading and R of this tick, after the changes that commands and peers bring."""
         slots, heading, references = self._slots, self._heading, self._references
-        events: tuple[Notice, ...] = ()
-        if not vehicle.armed:  # mission time restarts with the next flight
-            events += slots.restart()
-            if heading:
-                heading.restart()
+        events = () if vehicle.armed else self._restart()
         changed = NOTHING_CHANGED
         passed_on = [peer for peer in consensus.peers.flying if peer.change is not None]
         if commands or passed_on or not self._changes.is_idle:
@@ -143,6 +139,12 @@ class GuidanceStage:
             requests=requests,
             events=events,
         )
+
+    def _restart(self) -> tuple[Notice, ...]:
+        """Mission time restarts with the next flight. The event of a cancelled change."""
+        if self._heading:
+            self._heading.restart()
+        return self._slots.restart()
 
     def _turn(
         self,
