@@ -26,7 +26,7 @@ from companion.core.control.setpoint import SetpointStage, SetpointStream
 from companion.core.election.beacon import BeaconMonitor
 from companion.core.election.leadership import Leadership, Succession
 from companion.core.estimation.corrections import VelocityCorrection
-from companion.core.estimation.vehicle import PerceptionStage, VehicleTracker
+from companion.core.estimation.vehicle import VehicleTracker
 from companion.core.estimation.wind import DisturbanceObserver
 from companion.core.filter.filter import Bounds, SafetyFilter, SpeedLimit
 from companion.core.filter.solver import AccelerationLimits
@@ -88,10 +88,9 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
         separation_m=fleet.separation_m,
     )
     return Agent(
-        member.id,
-        perception=PerceptionStage(
-            tracker_of(fleet), Preflight(observer, PROFILES, vehicle.accept_uncontrolled_descent)
-        ),
+        vehicle_id=member.id,
+        perception=tracker_of(fleet),
+        preflight=Preflight(observer, PROFILES, vehicle.accept_uncontrolled_descent),
         phases=PhaseMachine(fleet.takeoff_height_m, PROFILES),
         arbitration=CommandArbitration(session),
         consensus=_consensus(fleet, member.id, identity.formation_hash),
@@ -99,7 +98,7 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
         safeguard=SafeguardStage(member.id, fleet.separation_m, health, _failsafes(fleet), PROFILES),
         dispatcher=CommandDispatcher(checks),
         setpoint=_setpoint(config, SetpointStream(envelope, observer), limit_of(Code.POSITION_STALE)),
-        distant_peers=_distant_peers(fleet, member.id),
+        distant_peers=_distant_peers(fleet, member.id) if fleet.has_distant_peers else None,
         report=ReportStage(identity, law_of(law), checks),
     )
 
@@ -129,8 +128,8 @@ def _consensus(fleet: FleetConfig, own_id: int, formation_hash: int) -> Consensu
 
 
 def _distant_peers(fleet: FleetConfig, own_id: int) -> DistantPeers:
-    """Neighbours, leaders and successors are never distant, and in a small fleet nobody is."""
-    at_full_rate = {m.id for m in fleet.vehicles if m.role is Role.LEADER or not fleet.has_distant_peers}
+    """Neighbours, leaders and successors are never distant."""
+    at_full_rate = {m.id for m in fleet.vehicles if m.role is Role.LEADER}
     neighbours, range_m = fleet.neighbours, 0.0
     if isinstance(neighbours, EdgeNeighbours):
         at_full_rate.update(*(edge for edge in neighbours.edges if own_id in edge))

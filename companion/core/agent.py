@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from msgspec import Struct
-
-from companion.core.command.arbitration import CommandArbitration, CommandDispatcher, Intake
+from companion.core.command.arbitration import CommandArbitration, CommandDispatcher
 from companion.core.command.phase import PhaseCommand, PhaseMachine
 from companion.core.consensus.neighbours import NONE, DistantPeers
-from companion.core.consensus.stage import Consensus, ConsensusStage
-from companion.core.control.setpoint import Setpoint, SetpointStage
-from companion.core.estimation.vehicle import Perception, PerceptionStage
+from companion.core.consensus.stage import ConsensusStage
+from companion.core.control.setpoint import SetpointStage
+from companion.core.estimation.vehicle import VehicleTracker
 from companion.core.formation.guidance import Guidance, GuidanceStage
-from companion.core.report import ReportStage
+from companion.core.preflight import Preflight
+from companion.core.report import Decision, ReportStage
 from companion.core.safety.safeguard import SafeguardStage, Safety
-from companion.types.autopilot import AutopilotRequest
 from companion.types.flight import FailsafeAction, Flight, FlightPhase
 from companion.types.status import SeparationReport
 from companion.types.tick import Inbox, Outbox
@@ -21,28 +19,15 @@ from companion.types.tick import Inbox, Outbox
 FORMATION, WARN = FlightPhase.FORMATION, FailsafeAction.WARN  # member lookup of an enum is slow
 
 
-class Decision(Struct, frozen=True, gc=False):
-    """Results of the stages of one tick. The setpoint and the requests leave the process before the reports are built."""
-
-    now_s: float
-    intake: Intake
-    perception: Perception
-    consensus: Consensus
-    guidance: Guidance
-    safety: Safety
-    flight: Flight
-    setpoint: Setpoint
-    requests: tuple[AutopilotRequest, ...]
-    distant: frozenset[int] = NONE
-
-
 class Agent:
     """One vehicle's decisions. Pure: the outputs depend only on the calls made so far."""
 
     def __init__(
         self,
+        *,
         vehicle_id: int,
-        perception: PerceptionStage,
+        perception: VehicleTracker,
+        preflight: Preflight,
         phases: PhaseMachine,
         arbitration: CommandArbitration,
         consensus: ConsensusStage,
@@ -50,11 +35,12 @@ class Agent:
         safeguard: SafeguardStage,
         dispatcher: CommandDispatcher,
         setpoint: SetpointStage,
-        distant_peers: DistantPeers,
+        distant_peers: DistantPeers | None,
         report: ReportStage,
     ) -> None:
         self._vehicle_id = vehicle_id
         self._perception = perception
+        self._preflight = preflight
         self._phases = phases
         self._arbitration = arbitration
         self._consensus = consensus
@@ -94,9 +80,11 @@ class Agent:
         last, last_guidance = self._flight, self._last_guidance
         perception = self._perception.step(now_s, inbox.telemetry, last)
         vehicle = perception.vehicle
+        fitness = self._preflight.step(now_s, inbox.telemetry, vehicle.autopilot)
         before = self._phases.observe(now_s, vehicle)
-        intake = self._arbitration.step(inbox.commands)
-        refusal_to_lead, fit_to_lead = last_guidance.refusal_to_lead, self._fit_to_lead(last, last_guidance)
+        intake = self._arbitration.step(inbox.commands) if inbox.commands else self._arbitration.idle
+        refusal_to_lead = last_guidance.refusal_to_lead
+        fit_to_lead = last.phase is FORMATION and self._last_safety.action <= WARN and refusal_to_lead is None
         consensus = self._consensus.step(
             now_s, vehicle, before, inbox.peers, intake.admitted, refusal_to_lead, fit_to_lead, self._distant
         )
@@ -113,36 +101,38 @@ class Agent:
         )
         commands: tuple[PhaseCommand, ...] = ()
         if intake.admitted:
-            commands = self._dispatcher.step(intake, perception, consensus, guidance, safety)
+            commands = self._dispatcher.step(intake, vehicle, fitness, consensus, guidance, safety)
         flight = self._phases.step(
             now_s, vehicle, before, inbox.telemetry, guidance.requests, commands, safety.requests
         )
-        parameter_requests = self._perception.parameter_requests(now_s, flight)
+        parameter_requests = self._preflight.ask(now_s, flight.streams)
         setpoint = self._setpoint.step(now_s, vehicle, before, flight, consensus, guidance, safety, inbox.traffic)
         self._flight, self._last_guidance, self._last_safety = flight, guidance, safety
         self._last_setpoint_s, self._last_separation = setpoint.sent_s, setpoint.separation
-        hears_leader = consensus.lead.beacon is not None
-        self._distant = self._distant_peers.step(
-            now_s, vehicle, flight, guidance.slot, hears_leader, consensus.neighbours.ids, consensus.peers.known
-        )
+        if self._distant_peers is not None:
+            hears_leader, ids = consensus.lead.beacon is not None, consensus.neighbours.ids
+            self._distant = self._distant_peers.step(
+                now_s, vehicle, flight, guidance.slot, hears_leader, ids, consensus.peers.known
+            )
         requests = perception.requests + flight.requests + parameter_requests
         return Decision(
-            now_s, intake, perception, consensus, guidance, safety, flight, setpoint, requests, self._distant
+            now_s=now_s,
+            intake=intake,
+            perception=perception,
+            fitness=fitness,
+            consensus=consensus,
+            guidance=guidance,
+            safety=safety,
+            flight=flight,
+            setpoint=setpoint,
+            requests=requests,
+            distant=self._distant,
         )
 
     def report(self, decided: Decision) -> Outbox:
         """Peer packet, status, replies and events of the decision, with its setpoint and requests."""
         intake, consensus, guidance, flight = decided.intake, decided.consensus, decided.guidance, decided.flight
-        report = self._report.step(
-            decided.now_s,
-            intake,
-            decided.perception,
-            consensus,
-            guidance,
-            decided.safety,
-            flight,
-            decided.setpoint,
-        )
+        report = self._report.step(decided)
         answers = consensus.answers + guidance.answers + flight.answers
         return Outbox(
             attitude_target=decided.setpoint.target,
@@ -153,8 +143,3 @@ class Agent:
             events=report.events,
             distant_ids=tuple(sorted(decided.distant)) if decided.distant else (),
         )
-
-    def _fit_to_lead(self, flight: Flight, guidance: Guidance) -> bool:
-        """In formation without more than a warning or a reference that differs, by the results of the last tick."""
-        in_formation = flight.phase is FORMATION and self._last_safety.action <= WARN
-        return in_formation and guidance.refusal_to_lead is None

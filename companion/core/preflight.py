@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from math import inf
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.core.autopilot import AutopilotProfile, Profiles
 from companion.core.estimation.wind import DisturbanceObserver
@@ -40,13 +41,14 @@ TRIES = 8  # an autopilot does not answer for a parameter that it lacks
 class Fitness(Struct, frozen=True, gc=False):
     """Result of the audit: `refusal` of a flight in formation, and what a vehicle on the ground lacks for it.
 
-    `warnings` are the findings with which it may fly.
+    `warnings` are the findings with which it may fly. `events` report the findings once.
     """
 
     refusal: Notice | None
     lacks: tuple[Notice, ...]
     battery_percent: float | None
     warnings: tuple[Notice, ...] = ()
+    events: tuple[Notice, ...] = ()
 
 
 class Preflight:
@@ -69,10 +71,8 @@ class Preflight:
         self._asked_s = -inf
         self._reported = False
 
-    def update(
-        self, now_s: float, telemetry: Sequence[Telemetry], autopilot: AutopilotKind | None
-    ) -> tuple[Notice, ...]:
-        """Use the telemetry of this tick, from an autopilot of this type; return the events."""
+    def step(self, now_s: float, telemetry: Sequence[Telemetry], autopilot: AutopilotKind | None) -> Fitness:
+        """Use the telemetry of this tick, from an autopilot of this type. The fitness is judged again when it may differ."""
         if self._survey.update(now_s, telemetry):
             self._fitness = None
         if autopilot is not self._autopilot and autopilot is not None:
@@ -85,22 +85,20 @@ class Preflight:
                     self._values[sample.name], self._fitness = sample.value, None
                 if self._profile and sample.name == self._profile.hover_parameter:
                     self._observer.start_from(sample.value)
-        if self._reported or not self._names or self._unread():
-            return ()
-        self._reported = True
-        findings = [finding for finding in self._findings() if finding.verdict is not Verdict.OK]
-        return tuple(_notice(finding).about(finding.verdict) for finding in findings)
-
-    @property
-    def fitness(self) -> Fitness:
-        """Computed when a sample or a request has changed it."""
         if self._fitness is None:
             self._fitness = self._judged()
-        return self._fitness
+        if self._reported or not self._names or self._unread():
+            return self._fitness
+        self._reported = True
+        findings = [finding for finding in self._findings() if finding.verdict is not Verdict.OK]
+        return replace(self._fitness, events=tuple(_notice(finding).about(finding.verdict) for finding in findings))
 
-    def ask(self, now_s: float) -> tuple[RequestParameter, ...]:
-        """The request for the next parameter, when due: first those without an answer."""
-        if not self._names or now_s - self._asked_s < ASK_PERIOD_S:
+    def ask(self, now_s: float, streams: bool) -> tuple[RequestParameter, ...]:
+        """The request for the next parameter, when due: first those without an answer.
+
+        None while setpoints stream: those read before count for the whole formation.
+        """
+        if streams or not self._names or now_s - self._asked_s < ASK_PERIOD_S:
             return ()
         unread = self._unread()
         if not unread and now_s - self._asked_s < REFRESH_PERIOD_S:

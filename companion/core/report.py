@@ -16,10 +16,11 @@ from companion.core.control.setpoint import Setpoint
 from companion.core.estimation.vehicle import Perception
 from companion.core.filter.filter import Interventions
 from companion.core.formation.guidance import Guidance
+from companion.core.preflight import Fitness
 from companion.core.safety.failsafe import POSITION_WRONG
 from companion.core.safety.fleet_checks import FleetChecks, refusal_of_return
 from companion.core.safety.safeguard import Safety
-from companion.types.autopilot import VehicleState
+from companion.types.autopilot import AutopilotRequest, VehicleState
 from companion.types.commands import CommandName
 from companion.types.flight import RULES, Flight, FlightPhase, Role
 from companion.types.notices import Notice
@@ -40,6 +41,22 @@ class AgentIdentity:
     fleet: str
     formation_hash: int
     law_name: str
+
+
+class Decision(Struct, frozen=True, gc=False):
+    """Results of the stages of one tick. The setpoint and the requests leave the process before the reports are built."""
+
+    now_s: float
+    intake: Intake
+    perception: Perception
+    fitness: Fitness
+    consensus: Consensus
+    guidance: Guidance
+    safety: Safety
+    flight: Flight
+    setpoint: Setpoint
+    requests: tuple[AutopilotRequest, ...]
+    distant: frozenset[int] = frozenset()
 
 
 class Report(Struct, frozen=True, gc=False):
@@ -67,43 +84,26 @@ class ReportStage:
         """Count a message that was refused before it came to the agent."""
         self.refused = count_rejection(self.refused, key)
 
-    def step(
-        self,
-        now_s: float,
-        intake: Intake,
-        perception: Perception,
-        consensus: Consensus,
-        guidance: Guidance,
-        safety: Safety,
-        flight: Flight,
-        setpoint: Setpoint,
-    ) -> Report:
+    def step(self, decided: Decision) -> Report:
         """A packet every tick, a status ten times a second and at once with an event."""
-        events = intake.events + perception.events + consensus.events + flight.events + guidance.events + safety.events
-        if setpoint.separation.changed_m_s2 > 0.0:
-            events += self._interventions.step(now_s, setpoint.separation)
+        now_s, separation = decided.now_s, decided.setpoint.separation
+        events = decided.intake.events + decided.fitness.events + decided.perception.events + decided.consensus.events
+        events += decided.flight.events + decided.guidance.events + decided.safety.events
+        if separation.changed_m_s2 > 0.0:
+            events += self._interventions.step(now_s, separation)
         if events:
             self._last_event = events[-1]
         status = None
         if events or now_s - self._status_s >= STATUS_PERIOD_S:
             self._status_s = now_s
-            status = self._status(now_s, intake, perception, consensus, guidance, safety, flight, setpoint)
-        return Report(
-            self._packet(now_s, perception.vehicle, consensus, guidance, safety, flight, setpoint), status, events
-        )
+            status = self._status(decided)
+        return Report(self._packet(decided), status, events)
 
-    def _packet(
-        self,
-        now_s: float,
-        vehicle: VehicleState,
-        consensus: Consensus,
-        guidance: Guidance,
-        safety: Safety,
-        flight: Flight,
-        setpoint: Setpoint,
-    ) -> PeerPacket | None:
+    def _packet(self, decided: Decision) -> PeerPacket | None:
         """None before there is a position, and while peers must not use it."""
-        if safety.flags & POSITION_WRONG or vehicle.position_time_s == -inf:
+        now_s, vehicle, consensus = decided.now_s, decided.perception.vehicle, decided.consensus
+        guidance, flight, setpoint = decided.guidance, decided.flight, decided.setpoint
+        if decided.safety.flags & POSITION_WRONG or vehicle.position_time_s == -inf:
             return None
         self._sequence += 1
         identity, beacon = self._identity, consensus.lead.beacon
@@ -129,17 +129,9 @@ class ReportStage:
             rft=(rft.position_enu_m, rft.velocity_enu_m_s, rft.acceleration_enu_m_s2) if rft else None,
         )
 
-    def _status(
-        self,
-        now_s: float,
-        intake: Intake,
-        perception: Perception,
-        consensus: Consensus,
-        guidance: Guidance,
-        safety: Safety,
-        flight: Flight,
-        setpoint: Setpoint,
-    ) -> Status:
+    def _status(self, decided: Decision) -> Status:
+        now_s, intake, perception, fitness = decided.now_s, decided.intake, decided.perception, decided.fitness
+        consensus, guidance, flight, setpoint = decided.consensus, decided.guidance, decided.flight, decided.setpoint
         identity, vehicle, reference = self._identity, perception.vehicle, guidance.reference
         peers = consensus.peers.packets
         rejected = sum_counts(
@@ -168,19 +160,19 @@ class ReportStage:
             neighbours=consensus.neighbours.ids,
             slot=guidance.plan_slot,
             reference_enu_m=reference.position_enu_m if reference else None,
-            flags=tuple(sorted(safety.flags)),
+            flags=tuple(sorted(decided.safety.flags)),
             rejected=rejected,
             last_event=self._last_event,
             reference_s=consensus.lead.reference_s,
             reference=guidance.held_reference,
             target_age_s=guidance.target_age_s,
             refuses_return=self._refusal_of_return(vehicle, flight, consensus),
-            warnings=() if vehicle.armed else perception.fitness.warnings,
-            lacks=() if vehicle.armed else perception.fitness.lacks + self._checks.lacks(vehicle, peers),
+            warnings=() if vehicle.armed else fitness.warnings,
+            lacks=() if vehicle.armed else fitness.lacks + self._checks.lacks(vehicle, peers),
             holder=intake.holder,
             command_number=intake.number,
             peers=tuple(sorted(peer.sender.vehicle_id for peer in peers)),
-            battery_percent=perception.fitness.battery_percent,
+            battery_percent=fitness.battery_percent,
             position_error=vehicle.position_error,
             heading=guidance.heading,
             largest_step_deg=setpoint.largest_step_deg,

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
-from companion.core.agent import Agent, Decision
+from companion.core.agent import Agent
+from companion.core.report import Decision
 from companion.core.safety.safeguard import FailureResponse
 from companion.link.log import AgentEventLog, RejectionLog, field_of
 from companion.link.systemd import Notifier, status_line

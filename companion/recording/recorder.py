@@ -17,8 +17,8 @@ from msgspec.structs import replace
 from companion.assembly import law_of
 from companion.config.fleet import FleetConfig
 from companion.config.vehicle import AgentConfig
-from companion.core.agent import Decision
 from companion.core.consensus.law import FormationLaw
+from companion.core.report import Decision
 from companion.recording.codec import Message, as_json, encode, encode_inbox, encode_outbox, log_time_ns
 from companion.recording.files import GROUND, MB, MCAP, TLOG, FlightFiles, PartFiles, TlogPart, stamp
 from companion.recording.mcap_part import McapPart, MessageChunk, MessageStream

@@ -20,8 +20,8 @@ from msgspec import Struct
 from msgspec.structs import fields
 
 from companion import __version__
-from companion.core.agent import Decision
 from companion.core.consensus.law import FormationLaw, used_weights
+from companion.core.report import Decision
 from companion.geometry.vectors import rounded
 from companion.types.commands import Command, CommandReply
 from companion.types.flight import Role
@@ -188,7 +188,7 @@ def decision_record(decision: Decision, law: FormationLaw) -> DecisionRecord:
         decision.setpoint,
     )
     target, separation, reference, now_s = setpoint.target, setpoint.separation, guidance.reference, decision.now_s
-    nearest, battery_percent = separation.nearest, decision.perception.fitness.battery_percent
+    nearest, battery_percent = separation.nearest, decision.fitness.battery_percent
     role, leader = consensus.lead.role, consensus.lead.beacon
     ids, located = consensus.neighbours.ids, vehicle.position_time_s > -inf
     return DecisionRecord(

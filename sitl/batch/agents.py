@@ -140,7 +140,7 @@ class Agents:
 def _weighted_sum(used: ReceivedPackets, packets: FloatArray, shares: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Algorithm 2: weighted sums (9, G) over the neighbours, and whether a vehicle has any (G,).
 
-    The rows are positions minus slots, velocities and accelerations, extrapolated as `PeerState.formation_state_at` does.
+    The rows are positions minus slots, velocities and accelerations, extrapolated as `formation_state_at` does.
     """
     total = shares.sum(axis=1)
     has_neighbours = total > 0.0

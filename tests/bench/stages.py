@@ -8,7 +8,7 @@ import textwrap
 import types
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 from companion.core.agent import Agent
 
@@ -30,7 +30,8 @@ def stages() -> list[Stage]:
     for call in [*_calls(Agent.decide), *_calls(Agent.report)]:
         match call.func:
             case ast.Attribute(ast.Attribute(ast.Name("self"), attribute), method):
-                owner = classes[attribute.removeprefix("_")]
+                declared = classes[attribute.removeprefix("_")]
+                owner = next(iter(get_args(declared)), declared)  # of a stage that small fleets lack, without None
                 hints = get_type_hints(getattr(owner, method))
                 output = _name(hints.pop("return"))
                 inputs = tuple((name, _name(kind)) for name, kind in hints.items())

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from companion.assembly import build_agent
-from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, PeerLimits
 from companion.config.reference import PointReference
 from companion.config.vehicle import AgentConfig, VehicleConfig
 from companion.link.control_loop import ControlLoop
@@ -153,6 +153,7 @@ class FlightOnBytes:
             origin="indoor",
             vehicles=(member,),
             neighbours=EdgeNeighbours(edges=()),
+            peers=PeerLimits(full_rate_up_to=0),  # a large fleet, so that the agent has all stages
             takeoff_height_m=TAKEOFF_M,
         )
         vehicle = VehicleConfig(

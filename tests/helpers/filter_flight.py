@@ -238,7 +238,7 @@ class SeparationFlight:
                 state,
                 body.slot if body.phase is FlightPhase.FORMATION else None,
                 table.known,
-                table.fresh(self.now_s),
+                table.in_time(self.now_s)[0],
                 wanted,
                 self._commanded[i],
                 ZERO3,

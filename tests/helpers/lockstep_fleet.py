@@ -16,8 +16,8 @@ from msgspec.structs import replace
 from common import ROOT
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
-from companion.core.agent import Decision
 from companion.core.consensus.law import FormationLaw, FormationState, target
+from companion.core.report import Decision
 from companion.types.autopilot import AttitudeTarget
 from companion.types.commands import CommandName, CommandReply, Content
 from companion.types.flight import FlightPhase

@@ -321,7 +321,11 @@ def test_packets_that_waited_through_a_pause_are_dated_back(port: int) -> None:
     def age_s() -> float:
         now_s = time.monotonic()
         peers.fold(second.link.receive(now_s)[0], epochs_up_to=0)
-        return now_s - peers.fresh(now_s)[1].measured_s - PACKET.motion.state_age_s if peers.fresh(now_s) else 99.0
+        return (
+            now_s - peers.in_time(now_s)[0][1].measured_s - PACKET.motion.state_age_s
+            if peers.in_time(now_s)[0]
+            else 99.0
+        )
 
     with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:
         until(lambda: age_s() < 0.05, publish)

@@ -18,11 +18,12 @@ from msgspec.structs import replace
 
 from companion.core.command.phase import PhaseCommand
 from companion.core.consensus.stage import Consensus
-from companion.core.estimation.vehicle import Perception
 from companion.core.formation.guidance import Guidance
+from companion.core.preflight import Fitness
 from companion.core.safety.failsafe import POSITION_IN_DOUBT, flags_notice
 from companion.core.safety.fleet_checks import FleetChecks, refusal_of_return
 from companion.core.safety.safeguard import Safety
+from companion.types.autopilot import VehicleState
 from companion.types.commands import NUMBERS_AHEAD, Command, CommandName, CommandReply
 from companion.types.flight import OF_THE_FLEET, RULES, HealthFlag, Role
 from companion.types.notices import Answer, Code, Notice, refuse
@@ -51,14 +52,14 @@ class CommandArbitration:
         self._last_answer: Answer | None = None
         self.holder = ""
         self.number = 0
-        self._idle = Intake()  # of a tick without commands
+        self.idle = Intake()  # of a tick without commands
         self._unanswered: dict[int, Command] = {}  # by number: their check takes several ticks
         self._aborted_by = ""  # since the last other command
 
     def step(self, commands: tuple[Command, ...]) -> Intake:
         """Admit or answer the commands of one tick."""
         if not commands:
-            return self._idle
+            return self.idle
         aborts = any(command.name is CommandName.ABORT for command in commands)
         admitted: list[Command] = []
         answers: list[Answer | None] = []
@@ -78,7 +79,7 @@ class CommandArbitration:
             events += changes
             if answer is None and not repeated:
                 admitted.append(command)
-        self._idle = Intake(holder=self.holder, number=self.number)
+        self.idle = Intake(holder=self.holder, number=self.number)
         return Intake(commands, tuple(admitted), tuple(answers), events, self.holder, self.number)
 
     def replies(
@@ -170,7 +171,8 @@ class CommandDispatcher:
     def step(
         self,
         intake: Intake,
-        perception: Perception,
+        vehicle: VehicleState,
+        fitness: Fitness,
         consensus: Consensus,
         guidance: Guidance,
         safety: Safety,
@@ -180,32 +182,38 @@ class CommandDispatcher:
             return ()
         return tuple(
             [
-                self._cleared(command, perception, consensus, guidance, safety)
+                self._cleared(command, vehicle, fitness, consensus, guidance, safety)
                 for command in intake.admitted
                 if command.name in RULES or command.name is CommandName.ABORT
             ]
         )
 
     def _cleared(
-        self, command: Command, perception: Perception, consensus: Consensus, guidance: Guidance, safety: Safety
+        self,
+        command: Command,
+        vehicle: VehicleState,
+        fitness: Fitness,
+        consensus: Consensus,
+        guidance: Guidance,
+        safety: Safety,
     ) -> PhaseCommand:
         name, number = command.name, command.number
         if name is CommandName.ABORT:
             return PhaseCommand(number, name)
         if unfit := _raised(name, safety.flags):
             return PhaseCommand(number, name, unfit=flags_notice(unfit).about(name))
-        refusal, warning = self._judge(name, perception, consensus, guidance)
+        refusal, warning = self._judge(name, vehicle, fitness, consensus, guidance)
         return PhaseCommand(number, name, refusal=refusal and refusal.about(name), warning=warning)
 
     def _judge(
-        self, name: CommandName, perception: Perception, consensus: Consensus, guidance: Guidance
+        self, name: CommandName, vehicle: VehicleState, fitness: Fitness, consensus: Consensus, guidance: Guidance
     ) -> tuple[Notice | None, Notice | None]:
         """(refusal, warning) of a command that is otherwise possible."""
-        checks, vehicle, peers = self._checks, perception.vehicle, consensus.peers.packets
+        checks, peers = self._checks, consensus.peers.packets
         if name is CommandName.RETURN:
             homes_enu_m = consensus.peers.ground_position_enu_m
             return refusal_of_return(checks.own_id, checks.separation_m, vehicle, peers, homes_enu_m), None
-        if name is CommandName.FORM and (refusal := _refusal_to_form(perception, consensus, guidance)):
+        if name is CommandName.FORM and (refusal := _refusal_to_form(fitness, consensus, guidance)):
             return refusal, None
         refusal, warning = checks.judge(name, vehicle, guidance.slot, peers, consensus.lead.role)
         if name is CommandName.FORM and not refusal:
@@ -213,9 +221,9 @@ class CommandDispatcher:
         return refusal, warning
 
 
-def _refusal_to_form(perception: Perception, consensus: Consensus, guidance: Guidance) -> Notice | None:
+def _refusal_to_form(fitness: Fitness, consensus: Consensus, guidance: Guidance) -> Notice | None:
     """The first of: preflight audit, and of a leader a reference that differs from the fleet's."""
-    refusal = perception.fitness.refusal
+    refusal = fitness.refusal
     if not refusal and consensus.lead.role is Role.LEADER:
         refusal = guidance.refusal_to_lead
     return refusal

@@ -166,7 +166,7 @@ class DistantPeers:
 
 
 def _changes(slot: FlownSlot) -> bool:
-    return slot.moves or slot.waiting != slot.formation
+    return slot.moves_for_s > 0.0 or slot.waiting != slot.formation
 
 
 def _is_steady(now_s: float, peer: PeerState, slot: FlownSlot) -> bool:

@@ -55,24 +55,25 @@ class FleetLimits:
 
 def refusal_of_claims(packet: PeerPacket, fleet: KnownFleet) -> Code | None:
     """Checks sender, formation hash, role, PrC, leader beacon, reference and change."""
-    if packet.sender.vehicle_id == fleet.own_id:
+    sender, leader = packet.sender, packet.leader
+    if sender.vehicle_id == fleet.own_id:
         return Code.PEER_OWN_ID
-    may_lead = fleet.may_lead.get(packet.sender.vehicle_id)
+    may_lead = fleet.may_lead.get(sender.vehicle_id)
     if may_lead is None:
         return Code.PEER_NOT_IN_FLEET
-    if packet.sender.formation_hash != fleet.formation_hash:
+    if sender.formation_hash != fleet.formation_hash:
         return Code.PEER_OTHER_FLEET_FILE
-    is_leader, beacon = packet.role is LEADER, packet.leader.beacon
+    is_leader, beacon = packet.role is LEADER, leader.beacon
     if is_leader and not may_lead:
         return Code.PEER_NOT_A_LEADER
-    if not 1 <= packet.leader.prc <= len(fleet.may_lead) or (packet.leader.prc == 1) is not is_leader:
+    if not 1 <= leader.prc <= len(fleet.may_lead) or (leader.prc == 1) is not is_leader:
         return Code.PEER_PRC_IMPLAUSIBLE
     held = packet.reference
     if held and not (held.flown >= 0 and held.waiting >= 0 and 0.0 <= held.begun_s <= MAX_MISSION_S):
         return Code.PEER_REFERENCE_IMPLAUSIBLE
     if packet.change is not None and not (is_leader and _is_plausible_change(packet.change, fleet)):
         return Code.PEER_CHANGE_IMPLAUSIBLE
-    if is_leader and (beacon is None or beacon.leader_id != packet.sender.vehicle_id):
+    if is_leader and (beacon is None or beacon.leader_id != sender.vehicle_id):
         return Code.PEER_BEACON_MISSING
     if beacon is not None:
         may_claim = beacon.claim == 0 or (beacon.leader_id, beacon.claim) in fleet.claims
@@ -87,10 +88,11 @@ def refusal_of_claims(packet: PeerPacket, fleet: KnownFleet) -> Code | None:
 
 def refusal_of_motion(packet: PeerPacket, limits: FleetLimits, known: FlownSlot | None) -> Code | None:
     """Checks position, velocity, acceleration, times, slot and position error. `known` is a slot that has passed before."""
-    x, y, z = packet.motion.position_enu_m
-    vx, vy, vz = packet.motion.velocity_enu_m_s
-    ax, ay, az = packet.motion.acceleration_enu_m_s2
-    numbers = x + y + z + vx + vy + vz + ax + ay + az + packet.motion.state_age_s + packet.motion.sent_s
+    motion = packet.motion
+    x, y, z = motion.position_enu_m
+    vx, vy, vz = motion.velocity_enu_m_s
+    ax, ay, az = motion.acceleration_enu_m_s2
+    numbers = x + y + z + vx + vy + vz + ax + ay + az + motion.state_age_s + motion.sent_s
     if not isfinite(numbers):  # one number that is not finite makes the sum so
         return Code.PEER_NOT_FINITE
     most = MAX_COORDINATE_M
@@ -100,7 +102,7 @@ def refusal_of_motion(packet: PeerPacket, limits: FleetLimits, known: FlownSlot 
         return Code.PEER_SPEED_IMPLAUSIBLE
     if hypot(ax, ay, az) > MAX_ACCELERATION_M_S2:
         return Code.PEER_ACCELERATION_IMPLAUSIBLE
-    if not 0.0 <= packet.motion.state_age_s <= MAX_STATE_AGE_S or not 0.0 <= packet.motion.sent_s <= MAX_SENT_S:
+    if not 0.0 <= motion.state_age_s <= MAX_STATE_AGE_S or not 0.0 <= motion.sent_s <= MAX_SENT_S:
         return Code.PEER_TIME_IMPLAUSIBLE
     slot = packet.slot
     if slot != known and not _is_plausible_slot(slot, limits):
@@ -185,32 +187,33 @@ class PeerState(Struct, frozen=True, gc=False):
         position_enu_m = extrapolated(slot.position_enu_m, slot.velocity_enu_m_s, now_s - self.measured_s)
         return replace(slot, position_enu_m=position_enu_m)
 
-    def formation_state_at(self, now_s: float) -> FormationState:
-        """State of the peer minus that of its slot, extrapolated over a bounded age.
 
-        x + v a + u a^2 / 2 and v + u a with the acceleration command u. Where a vehicle is kept off its slot, the RFT it flies
-        by counts instead.
-        """
-        packet, age_s = self.packet, now_s - self.measured_s
-        most_s = EXTRAPOLATED_MOST_S if packet.leader.prc > NEAR_LEADER_PRC else EXTRAPOLATED_NEAR_LEADER_S
-        if age_s > most_s:
-            age_s = most_s
-        if packet.rft is not None:
-            (x, y, z), (vx, vy, vz), (ax, ay, az) = packet.rft
-        else:
-            slot = packet.slot
-            (x, y, z), (dx, dy, dz) = packet.motion.position_enu_m, slot.position_enu_m
-            (vx, vy, vz), (dvx, dvy, dvz) = packet.motion.velocity_enu_m_s, slot.velocity_enu_m_s
-            (ax, ay, az), (dax, day, daz) = packet.motion.acceleration_enu_m_s2, slot.acceleration_enu_m_s2
-            x, y, z = x - dx, y - dy, z - dz
-            vx, vy, vz = vx - dvx, vy - dvy, vz - dvz
-            ax, ay, az = ax - dax, ay - day, az - daz
-        half_s = 0.5 * age_s
-        return FormationState(
-            (x + age_s * (vx + half_s * ax), y + age_s * (vy + half_s * ay), z + age_s * (vz + half_s * az)),
-            (vx + age_s * ax, vy + age_s * ay, vz + age_s * az),
-            (ax, ay, az),
-        )
+def formation_state_at(peer: PeerState, now_s: float) -> FormationState:
+    """State of the peer minus that of its slot, extrapolated over a bounded age.
+
+    x + v a + u a^2 / 2 and v + u a with the acceleration command u. Where a vehicle is kept off its slot, the RFT it flies
+    by counts instead.
+    """
+    packet, age_s = peer.packet, now_s - peer.measured_s
+    most_s = EXTRAPOLATED_MOST_S if packet.leader.prc > NEAR_LEADER_PRC else EXTRAPOLATED_NEAR_LEADER_S
+    if age_s > most_s:
+        age_s = most_s
+    if packet.rft is not None:
+        (x, y, z), (vx, vy, vz), (ax, ay, az) = packet.rft
+    else:
+        slot = packet.slot
+        (x, y, z), (dx, dy, dz) = packet.motion.position_enu_m, slot.position_enu_m
+        (vx, vy, vz), (dvx, dvy, dvz) = packet.motion.velocity_enu_m_s, slot.velocity_enu_m_s
+        (ax, ay, az), (dax, day, daz) = packet.motion.acceleration_enu_m_s2, slot.acceleration_enu_m_s2
+        x, y, z = x - dx, y - dy, z - dz
+        vx, vy, vz = vx - dvx, vy - dvy, vz - dvz
+        ax, ay, az = ax - dax, ay - day, az - daz
+    half_s = 0.5 * age_s
+    return FormationState(
+        (x + age_s * (vx + half_s * ax), y + age_s * (vy + half_s * ay), z + age_s * (vz + half_s * az)),
+        (vx + age_s * ax, vy + age_s * ay, vz + age_s * az),
+        (ax, ay, az),
+    )
 
 
 class PeerTable:
@@ -234,18 +237,17 @@ class PeerTable:
         self._limits = limits
         self._streams: dict[int, Stream] = {}
         self._distant: frozenset[int] = frozenset()
-        self._distant_s: dict[int, float] = {}  # when each of those was last distant
+        self.low_rate_s: dict[int, float] = {}  # when each of those was last distant
         self.known: dict[int, PeerState] = {}  # the newest state of each peer, of any age
         self.ground_position_enu_m: dict[int, Vector3] = {}  # last position of each peer on the ground
         self.rejected: Counter[str] = Counter()
         self.duplicate_id_s = -inf  # when a packet of a second agent with a known id last came
 
     def set_low_rate_peers(self, now_s: float, distant: frozenset[int]) -> None:
-        """From now on these peers are received at 5 Hz, and their states may be older."""
+        """From now on these peers are received at 5 Hz, and their states may be older. Called while there are any."""
         self._distant = distant
-        if distant or self._distant_s:
-            within = {i: s for i, s in self._distant_s.items() if now_s - s <= FULL_RATE_WITHIN_S}
-            self._distant_s = within | dict.fromkeys(distant, now_s)
+        within = {i: s for i, s in self.low_rate_s.items() if now_s - s <= FULL_RATE_WITHIN_S}
+        self.low_rate_s = within | dict.fromkeys(distant, now_s)
 
     def fold(self, packets: Iterable[ReceivedPeerPacket], epochs_up_to: int) -> None:
         """Check and take these packets; of one with a beacon of a larger epoch only the motion."""
@@ -254,83 +256,75 @@ class PeerTable:
             before = self.known.get(packet.sender.vehicle_id)
             known = before.packet.slot if before is not None else None
             code = refusal_of_claims(packet, self._fleet) or refusal_of_motion(packet, self._limits, known)
-            code = code or self._refusal_of_order(received, before)
+            code = code or self._take(received, before, epochs_up_to)
             if code is None:
-                self._take(packet, epochs_up_to, before)
                 continue
             if code in DUPLICATES:
                 self.duplicate_id_s = received.received_s
             self._count(code, packet.sender.vehicle_id)
 
-    def _take(self, packet: PeerPacket, epochs_up_to: int, before: PeerState | None) -> None:
-        """An accepted packet, after its stream, as the newest state of its vehicle. `before` is the last one."""
-        vehicle_id, beacon = packet.sender.vehicle_id, packet.leader.beacon
+    def _take(self, received: ReceivedPeerPacket, before: PeerState | None, epochs_up_to: int) -> Code | None:
+        """The packet as the newest state of its vehicle, or the refusal by the packets before: `before` has the last one.
+
+        Checked are session, sequence, delay and distance.
+        """
+        packet, received_s = received.packet, received.received_s
+        sender, motion, beacon = packet.sender, packet.motion, packet.leader.beacon
+        vehicle_id = sender.vehicle_id
+        max_age_s = self._age_limit_s(vehicle_id) if self.low_rate_s else self._max_age_s
+        stream, disorder = following(
+            self._streams.get(vehicle_id), sender.session, sender.sequence, motion.sent_s, received_s, max_age_s
+        )
+        if disorder is not None:
+            self._streams[vehicle_id] = stream
+            return CODES[disorder]
+        if before is not None and received_s - before.measured_s <= max_age_s:
+            since_s = received_s - before.received_s
+            elapsed_s = (since_s if since_s > 0.0 else 0.0) + max_age_s
+            distance_m = dist(motion.position_enu_m, before.packet.motion.position_enu_m)
+            if distance_m > self._limits.speed_m_s * elapsed_s + JUMP_MARGIN_M:
+                return Code.PEER_POSITION_JUMPED
+        self._streams[vehicle_id] = stream
         if beacon is not None and beacon.epoch > epochs_up_to:
             packet, beacon = self._without_leader(packet), None
-        packet = self._within_limits(packet)
-        stream = self._streams[vehicle_id]
-        clock = stream.clock
-        measured_s = clock.received_s - stream.late_s(packet.motion.sent_s) - packet.motion.state_age_s
-        term = beacon.term if beacon is not None else (0, 0)
+        (ax, ay, az), (sx, sy, sz) = motion.acceleration_enu_m_s2, packet.slot.acceleration_enu_m_s2
+        rx, ry, rz = ZERO3 if packet.rft is None else packet.rft[2]
+        own, of_slot, of_rft = ax * ax + ay * ay + az * az, sx * sx + sy * sy + sz * sz, rx * rx + ry * ry + rz * rz
+        most_m_s2 = self._limits.acceleration_m_s2
+        if max(own, of_slot, of_rft) > most_m_s2 * most_m_s2:
+            packet = self._within_limits(packet, most_m_s2)
         if packet.phase in ON_GROUND and before is not None and before.packet.phase in ON_GROUND:
-            self.ground_position_enu_m[vehicle_id] = packet.motion.position_enu_m
-        self.known[vehicle_id] = PeerState(packet, clock.received_s, clock.least_apart_s, measured_s, term)
+            self.ground_position_enu_m[vehicle_id] = motion.position_enu_m
+        measured_s = received_s - stream.late_s - motion.state_age_s
+        term = (beacon.epoch, -beacon.claim) if beacon is not None else (0, 0)
+        self.known[vehicle_id] = PeerState(packet, received_s, stream.clock.least_apart_s, measured_s, term)
+        return None
 
-    def fresh(self, now_s: float) -> dict[int, PeerState]:
-        """Peers whose state is not older than the configured age (`peers.max_age_s`), without the distant ones."""
+    def in_time(self, now_s: float) -> tuple[dict[int, PeerState], dict[int, PeerState]]:
+        """(fresh, present) peers: those not older than `peers.max_age_s`, without the distant ones; and these as well.
+
+        The state of a distant peer may be as old as it is at 5 Hz.
+        """
         fresh = {i: peer for i, peer in self.known.items() if now_s - peer.measured_s <= self._max_age_s}
-        if self._distant:
-            for i in self._distant & fresh.keys():
-                del fresh[i]
-        return fresh
-
-    def present(self, now_s: float, fresh: dict[int, PeerState]) -> dict[int, PeerState]:
-        """The fresh peers, and the distant ones whose state is as old as it may be at 5 Hz."""
-        if not self._distant_s:
-            return fresh
-        return {
+        if not self.low_rate_s:
+            return fresh, fresh
+        for i in self._distant & fresh.keys():
+            del fresh[i]
+        return fresh, {
             i: peer for i, peer in self.known.items() if i in fresh or now_s - peer.measured_s <= self._age_limit_s(i)
         }
 
     def _age_limit_s(self, vehicle_id: int) -> float:
-        return max(self._max_age_s, DISTANT_MAX_AGE_S) if vehicle_id in self._distant_s else self._max_age_s
-
-    def _refusal_of_order(self, received: ReceivedPeerPacket, before: PeerState | None) -> Code | None:
-        """Checks against the packets before of the same vehicle: session, sequence, delay and distance."""
-        packet, received_s = received.packet, received.received_s
-        vehicle_id = packet.sender.vehicle_id
-        max_age_s = self._age_limit_s(vehicle_id) if self._distant_s else self._max_age_s
-        stream, disorder = following(
-            self._streams.get(vehicle_id),
-            packet.sender.session,
-            packet.sender.sequence,
-            packet.motion.sent_s,
-            received_s,
-            max_age_s,
-        )
-        if disorder is None and before is not None and received_s - before.measured_s <= max_age_s:
-            since_s = received_s - before.received_s
-            elapsed_s = (since_s if since_s > 0.0 else 0.0) + max_age_s
-            distance_m = dist(packet.motion.position_enu_m, before.packet.motion.position_enu_m)
-            if distance_m > self._limits.speed_m_s * elapsed_s + JUMP_MARGIN_M:
-                return Code.PEER_POSITION_JUMPED
-        self._streams[vehicle_id] = stream
-        return CODES[disorder] if disorder else None
+        return max(self._max_age_s, DISTANT_MAX_AGE_S) if vehicle_id in self.low_rate_s else self._max_age_s
 
     def _without_leader(self, packet: PeerPacket) -> PeerPacket:
         """The packet as of a follower that knows no leader. Its position is needed for separation."""
         self._count(Code.PEER_EPOCH_TOO_HIGH, packet.sender.vehicle_id)
         return replace(packet, role=Role.FOLLOWER, leader=LeaderReport(len(self._fleet.may_lead), None), change=None)
 
-    def _within_limits(self, packet: PeerPacket) -> PeerPacket:
+    def _within_limits(self, packet: PeerPacket, most_m_s2: float) -> PeerPacket:
         """The packet with accelerations that this fleet can fly: the law feeds them forward. Its position remains usable."""
-        most_m_s2, motion, slot = self._limits.acceleration_m_s2, packet.motion, packet.slot
-        squared, rft = most_m_s2 * most_m_s2, packet.rft
-        (ax, ay, az), (sx, sy, sz) = motion.acceleration_enu_m_s2, slot.acceleration_enu_m_s2
-        rx, ry, rz = ZERO3 if rft is None else rft[2]
-        own, of_slot, of_rft = ax * ax + ay * ay + az * az, sx * sx + sy * sy + sz * sz, rx * rx + ry * ry + rz * rz
-        if own <= squared and of_slot <= squared and of_rft <= squared:
-            return packet
+        motion, slot, rft = packet.motion, packet.slot, packet.rft
         self._count(Code.PEER_ACCELERATION_LIMITED, packet.sender.vehicle_id)
         return replace(
             packet,

@@ -1,4 +1,33 @@
-"""Consensus: accepted peer packets -> neighbours, PrC and leader beacon, once a tick."""
+"""Consensus: accepted peer packets -> leader, mission time, neighbours and PrC, once a tick.
+
+The problem. No vehicle knows the fleet. Each hears some others, late, with losses, and each other vehicle hears a different
+part. From that alone all must agree who leads, how far the formation is in its trajectory, and how near each is to the leader;
+a vehicle that is wrong about one of these pulls its neighbours off.
+
+The model is Algorithm 1 of the paper (docs/law.md), made for a fleet whose links fail. A vehicle's priority coefficient (PrC)
+is one more than the least of its neighbours; a leader has 1. So PrC counts hops to the nearest leader. It does not show that
+a leader is alive: without one, PrC rises to n and stays, and n is also valid at the end of a chain. So each packet relays the
+leader's beacon, whose stamp only the leader raises (`election/beacon.py`), and the leadership has a term (`leadership.py`).
+
+The peers of a tick are sets, each a part of the one before:
+- known: all whose packets were ever accepted, however old the last one is;
+- present: heard in time, at 50 Hz or, the distant ones, at 5 Hz. They count for checks, roles and changes;
+- flying: present in a cooperating phase;
+- relays: flying, and once the formation has come together also in it: their beacons and PrC count;
+- neighbours: relays heard at 50 Hz that the rule selects, by edges or by range: N_i of the paper;
+- followed: neighbours that form or fly in formation: the law steers by these, with weights by their PrC.
+Fresh peers are those heard at 50 Hz in time; the separation filter looks at all of them, in whatever phase they are.
+
+What always holds:
+- one packet of this vehicle is of one role and one term: a commanded role comes before everything that is received;
+- the term never falls but to the one before, from a term without a leader that is alive, or by command;
+- a beacon passed on never becomes younger, so it dies out within its largest age and one tick a hop;
+- PrC is 1 for a leader alone, and a leader of an older term counts as n: a deposed leader attracts nobody;
+- mission time steps back on the ground alone, or with a leader whose beacons agree for longer than one can be wrong.
+
+Sources: the paper's section 4 (Algorithms 1 and 2); terms and claims as in Raft (Ongaro and Ousterhout 2014), without votes,
+as a minority that can fly must not wait for a majority that it cannot hear.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +39,7 @@ from msgspec.structs import replace
 
 from companion.core.consensus.law import FormationState, next_prc
 from companion.core.consensus.neighbours import NeighbourRule
-from companion.core.consensus.peers import MAX_TURN_RAD_S, PeerState, PeerTable
+from companion.core.consensus.peers import MAX_TURN_RAD_S, PeerState, PeerTable, formation_state_at
 from companion.core.election.beacon import WAITED_S, BeaconMonitor, MissionClock
 from companion.core.election.leadership import Leadership, Succession, refusal_of_lead
 from companion.geometry.formations import heading_after
@@ -88,16 +117,7 @@ class Consensus(Struct, frozen=True, gc=False):
     events: tuple[Notice, ...] = ()
 
 
-def _states_of(
-    candidates: Sequence[PeerPacket], fresh: dict[int, PeerState], present: dict[int, PeerState]
-) -> dict[int, PeerState]:
-    """The fresh ones of the candidates, which are some of the present peers."""
-    if len(candidates) == len(fresh) and present is fresh:  # the usual case: all of them
-        return fresh
-    return {p.sender.vehicle_id: fresh[p.sender.vehicle_id] for p in candidates if p.sender.vehicle_id in fresh}
-
-
-def _attracting(ids: tuple[int, ...], packets: Sequence[PeerPacket], leads: bool) -> tuple[int, ...]:
+def _followed(ids: tuple[int, ...], packets: Sequence[PeerPacket], leads: bool) -> tuple[int, ...]:
     """Which of these neighbours the law uses: those that form or fly in formation. `packets` are in the same order.
 
     A vehicle in hold may not have been commanded to form: where it is says nothing about the formation. Only a leader in hold
@@ -130,6 +150,8 @@ class ConsensusStage:
         self._succession = succession
         self._clock = MissionClock()
         self._led_s = -inf  # when a leader of the own term was last known
+        self._known_term: Term | None = None  # of the last tick, where a leader was known in it
+        self._last_known_s = -inf  # the last tick with a leader known in the same term as in the tick before
         self._formed_s: float | None = None  # since when this vehicle is in formation
         self.leadership = leadership
         self.peers = peers
@@ -151,29 +173,34 @@ class ConsensusStage:
         must not become leader, `fit_to_lead` that it flies in formation without a failsafe, `distant` the peers that are
         received at 5 Hz; all of the last tick.
         """
-        answers, events = self._command_leads(now_s, commands, vehicle, flight, refusal_to_lead)
+        leadership, table, in_formation = self.leadership, self.peers, flight.in_formation
+        answers, events = (
+            self._command_leads(now_s, commands, vehicle, flight, refusal_to_lead) if commands else ((), ())
+        )
         self._clock.on_ground = not vehicle.armed
-        leadership, in_formation = self.leadership, flight.in_formation
-        self.peers.set_low_rate_peers(now_s, distant)
-        fresh, present, changes = self._receive(now_s, packets)
-        events += changes
+        if distant or table.low_rate_s:
+            table.set_low_rate_peers(now_s, distant)
+        epochs_up_to = self._epochs_up_to(now_s)
+        table.fold(packets, epochs_up_to)
+        fresh, present = table.in_time(now_s)
+        changes = self._newer_terms(now_s, present.values(), epochs_up_to)
         flying = [peer.packet for peer in present.values() if peer.packet.phase in COOPERATING]
-        candidates = self._candidates(now_s, flying, in_formation)
-        ids = self._rule.select(vehicle.position_enu_m, _states_of(candidates, fresh, present), now_s)
-        packets_of_neighbours = [fresh[i].packet for i in ids]
-        with_neighbours = FORMATION in [packet.phase for packet in packets_of_neighbours]
-        beacons = self._beacons_of_others(packets_of_neighbours)
-        self._leader.receive(now_s, beacons, leadership.term)
-        newest = self._leader.youngest(now_s)
-        events += self._settle_term(now_s, in_formation, newest[0], flying)
-        leaderless, claimed = self._succeed(now_s, newest[0] is not None, with_neighbours, flying, fit_to_lead)
+        relays = self._relays(now_s, flying, fresh, present, in_formation)
+        ids = self._rule.select(vehicle.position_enu_m, relays, now_s)
+        neighbours = [fresh[i].packet for i in ids]
+        received = [p.leader.beacon for p in neighbours if p.leader.beacon is not None]
+        # The own beacon comes back from before a handover or a restart.
+        others = [beacon for beacon in received if beacon.leader_id != self._own_id]
+        self._leader.receive(now_s, others, leadership.term)
+        youngest, age_s = self._leader.youngest(now_s)
+        settled = self._settle_term(now_s, in_formation, youngest, flying)
+        leaderless, claimed = self._awaited(now_s, youngest is not None, neighbours, flying, fit_to_lead)
         role, term = leadership.role, leadership.term
-        ids = _attracting(ids, packets_of_neighbours, role is LEADER) if in_formation else ids
-        neighbours = self._neighbours(now_s, [fresh[i] for i in ids], term)
-        heading = self._received_heading(role, in_formation, *newest)
-        beacon, beacon_age_s, reference_s = self._beacon(now_s, role, in_formation, *newest)
-        prc = next_prc(role is LEADER, [prc for prc, _ in neighbours], self._n)
-        table = self.peers
+        followed = _followed(ids, neighbours, role is LEADER) if in_formation else ids
+        states = self._states(now_s, [fresh[i] for i in followed], term)
+        heading = self._received_heading(role, in_formation, youngest, age_s)
+        beacon, beacon_age_s, reference_s = self._beacon(now_s, role, in_formation, youngest, age_s)
+        prc = next_prc(role is LEADER, [prc for prc, _ in states], self._n)
         return Consensus(
             prc=prc,
             lead=LeadView(
@@ -185,72 +212,63 @@ class ConsensusStage:
                 reference_s=reference_s,
                 heading=heading,
             ),
-            neighbours=Neighbours(ids, neighbours),
-            peers=PeerSets(
-                known=dict(table.known),
-                present=present,
-                fresh=fresh,
-                flying=tuple(flying),
-                ground_position_enu_m=dict(table.ground_position_enu_m),
-                duplicate_id_s=table.duplicate_id_s,
-                rejected=table.rejected,
-            ),
+            neighbours=Neighbours(followed, states),
+            peers=self._sets(fresh, present, flying),
             answers=answers,
-            events=events + claimed,
+            events=events + changes + settled + claimed,
         )
 
-    def _receive(
-        self, now_s: float, packets: Iterable[ReceivedPeerPacket]
-    ) -> tuple[dict[int, PeerState], dict[int, PeerState], tuple[Notice, ...]]:
-        """The fresh peers by id, those that are present, and the events of the changes of the lead that they report."""
-        epochs_up_to = self._epochs_up_to(now_s)
-        self.peers.fold(packets, epochs_up_to)
-        fresh = self.peers.fresh(now_s)
-        present = self.peers.present(now_s, fresh)
+    def _sets(self, fresh: dict[int, PeerState], present: dict[int, PeerState], flying: list[PeerPacket]) -> PeerSets:
+        table = self.peers
+        return PeerSets(
+            known=dict(table.known),
+            present=present,
+            fresh=fresh,
+            flying=tuple(flying),
+            ground_position_enu_m=dict(table.ground_position_enu_m),
+            duplicate_id_s=table.duplicate_id_s,
+            rejected=table.rejected,
+        )
+
+    def _newer_terms(self, now_s: float, peers: Iterable[PeerState], epochs_up_to: int) -> tuple[Notice, ...]:
+        """The events of the changes of the lead that these peers report."""
         events: tuple[Notice, ...] = ()
-        for peer in present.values():
+        for peer in peers:
             if self.leadership.term < peer.term and peer.term[0] <= epochs_up_to:  # a command may just have lowered it
                 events += self.leadership.receive(now_s, [peer.packet.leader.beacon])
-        return fresh, present, events
+        return events
 
     def _epochs_up_to(self, now_s: float) -> int:
         """The largest epoch to accept: the changes that this vehicle may have missed since it last knew its leader."""
         missed = EPOCHS_AHEAD + EPOCHS_PER_S * (now_s - self._led_s)
-        return self.leadership.epoch + (int(missed) if missed < NUMBERS_AHEAD else NUMBERS_AHEAD)
+        return self.leadership.term[0] + (int(missed) if missed < NUMBERS_AHEAD else NUMBERS_AHEAD)
 
     def _settle_term(
-        self, now_s: float, in_formation: bool, newest: LeaderBeacon | None, flying: Iterable[PeerPacket]
+        self, now_s: float, in_formation: bool, youngest: LeaderBeacon | None, flying: Iterable[PeerPacket]
     ) -> tuple[Notice, ...]:
         """Return to the term before where no leader of the new one is alive. The event of a change of role.
 
         Any vehicle shows that the leader is alive: a vehicle out of formation may have no neighbours, and over many hops a
         beacon needs longer than a packet that this vehicle receives itself.
         """
-        is_leader, led = self.leadership.role is LEADER, newest is not None and newest.term == self.leadership.term
-        if led if not is_leader else in_formation:  # a leader on the ground may have restarted, and missed changes
+        leadership = self.leadership
+        if leadership.role is LEADER:
+            led = in_formation  # a leader on the ground may have restarted, and missed changes
+        else:
+            led = youngest is not None and (youngest.epoch, -youngest.claim) == leadership.term
+        if led:
             self._led_s = now_s
-        if self.leadership.is_settled:
+        if leadership.unconfirmed is None:
             return ()
-        return self.leadership.settle(now_s, [p.leader.beacon for p in flying if p.leader.beacon is not None])
+        return leadership.settle(now_s, [p.leader.beacon for p in flying if p.leader.beacon is not None])
 
-    def _beacons_of_others(self, packets: Iterable[PeerPacket]) -> list[LeaderBeacon]:
-        """The leader beacons in these packets. The own beacon is from before a handover or a restart: left out."""
-        beacons = []
-        for packet in packets:
-            beacon = packet.leader.beacon
-            if beacon is not None and beacon.leader_id != self._own_id:
-                beacons.append(beacon)
-        return beacons
-
-    def _neighbours(
-        self, now_s: float, peers: Iterable[PeerState], term: Term
-    ) -> tuple[tuple[int, FormationState], ...]:
+    def _states(self, now_s: float, peers: Iterable[PeerState], term: Term) -> tuple[tuple[int, FormationState], ...]:
         """(PrC, state) of each neighbour. A leader of an older term has not received the change yet: its PrC is n."""
-        neighbours = []
+        states = []
         for peer in peers:
             is_deposed = peer.packet.leader.prc == 1 and peer.term < term
-            neighbours.append((self._n if is_deposed else peer.packet.leader.prc, peer.formation_state_at(now_s)))
-        return tuple(neighbours)
+            states.append((self._n if is_deposed else peer.packet.leader.prc, formation_state_at(peer, now_s)))
+        return tuple(states)
 
     def _command_leads(
         self,
@@ -261,13 +279,11 @@ class ConsensusStage:
         refusal_to_lead: Notice | None,
     ) -> tuple[tuple[tuple[int, Answer], ...], tuple[Notice, ...]]:
         """The answers by command number, and the events of a change of role."""
-        if not commands:
-            return (), ()
         answers: list[tuple[int, Answer]] = []
         events: list[Notice] = []
         for command in commands:
             if isinstance(command.content, Lead):
-                lowers = command.content.epoch < self.leadership.epoch
+                lowers = command.content.epoch < self.leadership.term[0]
                 answer, changes = self._command_lead(command.content, vehicle, flight, refusal_to_lead)
                 if lowers and answer.accepted:
                     self._led_s = now_s  # peers in the epoch left are not believed
@@ -283,38 +299,57 @@ class ConsensusStage:
             refusal = refusal_to_lead.about("lead")
         return (Answer(False, refusal), ()) if refusal else self.leadership.command(lead)
 
-    def _candidates(self, now_s: float, flying: list[PeerPacket], in_formation: bool) -> list[PeerPacket]:
-        """Peers whose beacons are passed on. Once a formation has come together, only vehicles in it are used.
+    def _relays(
+        self,
+        now_s: float,
+        flying: list[PeerPacket],
+        fresh: dict[int, PeerState],
+        present: dict[int, PeerState],
+        in_formation: bool,
+    ) -> dict[int, PeerState]:
+        """The fresh peers whose beacons are passed on. Once a formation has come together, only vehicles in it are used.
 
         A leader out of formation is used where none leads in it: it left by command, and the fleet waits with it.
         """
+        relays = flying
         if not in_formation:
             self._formed_s = None
-            return flying
-        if self._formed_s is None:
+        elif self._formed_s is None:
             self._formed_s = now_s
-        if now_s - self._formed_s <= FORMING_S:
-            return flying
-        formed = [p for p in flying if p.phase is FORMATION]
-        if len(formed) == len(flying):
-            return flying
-        led = self.leadership.role is LEADER or LEADER in [p.role for p in formed]
-        return [p for p in flying if p.phase is FORMATION or (p.role is LEADER and not led)]
+        elif now_s - self._formed_s > FORMING_S:
+            formed = [p for p in flying if p.phase is FORMATION]
+            if len(formed) < len(flying):
+                led = self.leadership.role is LEADER or LEADER in [p.role for p in formed]
+                relays = [p for p in flying if p.phase is FORMATION or (p.role is LEADER and not led)]
+        if len(relays) == len(fresh) and present is fresh:  # the usual case: all of them
+            return fresh
+        return {p.sender.vehicle_id: fresh[p.sender.vehicle_id] for p in relays if p.sender.vehicle_id in fresh}
 
-    def _succeed(
-        self, now_s: float, led: bool, with_neighbours: bool, flying: list[PeerPacket], fit_to_lead: bool
-    ) -> tuple[HealthFlag, tuple[Notice, ...]]:
+    def _awaited(
+        self,
+        now_s: float,
+        hears_leader: bool,
+        neighbours: list[PeerPacket],
+        flying: list[PeerPacket],
+        fit_to_lead: bool,
+    ) -> tuple[HealthFlag | None, tuple[Notice, ...]]:
         """Become leader where there is none and it is this vehicle's turn. Returns the flag without a leader, and events.
 
         A vehicle that has lost all its neighbours may be the one that is lost: it does not wait for its turn. No successor
         takes over while it receives a leader that no neighbour passes on, nor without a known mission time.
         """
-        led = led or self.leadership.role is LEADER
-        if not self._succession.awaits(now_s, self.leadership.term, led, with_neighbours):
+        leadership = self.leadership
+        led, term = hears_leader or leadership.role is LEADER, leadership.term
+        if led and term == self._known_term:
+            self._last_known_s = now_s
+            return None, ()
+        self._known_term = term if led else None
+        with_neighbours = FORMATION in [packet.phase for packet in neighbours]
+        if not self._succession.awaits(now_s, term, led, with_neighbours, self._last_known_s):
             return LEADER_LOST, ()
         may_take = not led and fit_to_lead and self._clock.has_run
         if may_take and (rank := self._succession.rank_in_turn(now_s)) and not self._leads_in(flying):
-            return LEADER_AWAITED, self.leadership.claim(rank)
+            return LEADER_AWAITED, leadership.claim(rank)
         return LEADER_AWAITED, ()
 
     def _leads_in(self, flying: list[PeerPacket]) -> bool:
@@ -323,26 +358,26 @@ class ConsensusStage:
         return any(p.role is LEADER and p.leader.beacon is not None and p.leader.beacon.term >= term for p in flying)
 
     def _received_heading(
-        self, role: Role, in_formation: bool, newest: LeaderBeacon | None, age_s: float
+        self, role: Role, in_formation: bool, youngest: LeaderBeacon | None, age_s: float
     ) -> Heading | None:
         """Heading in the beacon, extrapolated to now. A leader uses that of one already in the RFT, or of the smallest id."""
-        if newest is None or newest.leader_id == self._own_id:
+        if youngest is None or youngest.leader_id == self._own_id:
             return None
         if role is LEADER:
-            of_own_term = newest.term == self.leadership.term and newest.reference_s > 0.0
-            if not of_own_term or (in_formation and newest.leader_id > self._own_id):
+            of_own_term = youngest.term == self.leadership.term and youngest.reference_s > 0.0
+            if not of_own_term or (in_formation and youngest.leader_id > self._own_id):
                 return None
-        heading = heading_after(newest.heading, age_s + WAITED_S)
+        heading = heading_after(youngest.heading, age_s + WAITED_S)
         most = MAX_TURN_RAD_S  # the limit of what peers accept: a beacon passed on must not get this vehicle rejected
         if -most <= heading.rate_rad_s <= most:
             return heading
         return replace(heading, rate_rad_s=clamped(heading.rate_rad_s, most))
 
     def _beacon(
-        self, now_s: float, role: Role, in_formation: bool, newest: LeaderBeacon | None, age_s: float
+        self, now_s: float, role: Role, in_formation: bool, youngest: LeaderBeacon | None, age_s: float
     ) -> tuple[LeaderBeacon | None, float, float]:
-        """The beacon to pass on, its age, and mission time; `newest` is the youngest received beacon."""
-        of_other = newest if newest is not None and newest.leader_id != self._own_id else None
+        """The beacon to pass on, its age, and mission time; `youngest` is the youngest received beacon."""
+        of_other = youngest if youngest is not None and youngest.leader_id != self._own_id else None
         if role is LEADER:
             lead, stamp = self.leadership, int(now_s * 1000.0)
             if in_formation and of_other and (of_other.term != lead.term or of_other.leader_id > self._own_id):
@@ -352,9 +387,13 @@ class ConsensusStage:
             self._leader.receive(now_s, [own], lead.term)  # its last beacon, should it become a follower
             return own, 0.0, reference_s
         reference_s = self._clock.update(now_s, in_formation, of_other, age_s)
-        if newest is None:
+        if youngest is None:
             return None, age_s, reference_s
         reported_s = reference_s if self._clock.runs else 0.0
         if not self._clock.runs and of_other and of_other.reference_s > 0.0:  # not believed yet: passed on unchanged
             reported_s = of_other.reference_s + age_s + WAITED_S
-        return LeaderBeacon(newest.leader_id, newest.epoch, newest.stamp, reported_s, newest.claim), age_s, reference_s
+        return (
+            LeaderBeacon(youngest.leader_id, youngest.epoch, youngest.stamp, reported_s, youngest.claim),
+            age_s,
+            reference_s,
+        )

@@ -31,20 +31,24 @@ class _Kept(Struct, frozen=True, gc=False):
     rival_since_s: float = inf
     rival_s: float = -inf
 
-    def with_rival(self, now_s: float, stamp: int) -> _Kept:
-        """After a refused beacon. One with the same stamp, or an older one, changes nothing for a while."""
-        lasts = now_s - self.rival_s <= GAP_S
-        if lasts and stamp <= self.rival_stamp:
-            return self
-        follows = lasts and _is_next(stamp, self.rival_stamp, self.rival_stamp, now_s - self.rival_s)
-        since_s = self.rival_since_s if follows else now_s
-        return _Kept(self.beacon, self.received_s, self.clock_stamp, stamp, since_s, now_s)
 
-    def with_next(self, now_s: float, beacon: LeaderBeacon) -> _Kept:
-        """After a beacon that follows. It may come from far, and be older than the one that follows it."""
-        clock_stamp = self.clock_stamp + REMEMBERED * STAMPS_PER_S * (now_s - self.received_s)
-        stamp = float(beacon.stamp)
-        return _Kept(beacon, now_s, stamp if stamp > clock_stamp else clock_stamp)
+def _after(kept: _Kept, now_s: float, beacon: LeaderBeacon) -> _Kept:
+    """What is kept of a leader after another beacon of it, which may come from far and be older than the newest one."""
+    stamp, elapsed_s = beacon.stamp, now_s - kept.received_s
+    if kept.beacon.stamp < stamp <= kept.clock_stamp + STAMPS_PER_S * elapsed_s + STAMPS_AHEAD:
+        clock_stamp, own_stamp = kept.clock_stamp + REMEMBERED * STAMPS_PER_S * elapsed_s, float(stamp)
+        return _Kept(beacon, now_s, own_stamp if own_stamp > clock_stamp else clock_stamp)
+    if stamp == kept.beacon.stamp:
+        return kept
+    silent_s = now_s - kept.rival_s
+    if (
+        silent_s > GAP_S or stamp > kept.rival_stamp
+    ):  # else the same stamp, or an older one: changes nothing for a while
+        follows = silent_s <= GAP_S and stamp <= kept.rival_stamp + STAMPS_PER_S * silent_s + STAMPS_AHEAD
+        since_s = kept.rival_since_s if follows else now_s
+        kept = _Kept(kept.beacon, kept.received_s, kept.clock_stamp, stamp, since_s, now_s)
+    confirmed = kept.rival_s == now_s and now_s - max(kept.rival_since_s, kept.received_s) >= CONFIRMED_S
+    return _Kept(beacon, now_s, float(stamp)) if confirmed else kept
 
 
 class BeaconMonitor:
@@ -74,14 +78,7 @@ class BeaconMonitor:
                 continue
             leader, stamp = (beacon.leader_id, term), beacon.stamp
             kept = self._newest.get(leader)
-            if kept is None:
-                self._newest[leader] = _Kept(beacon, now_s, float(stamp))
-            elif _is_next(stamp, kept.beacon.stamp, kept.clock_stamp, now_s - kept.received_s):
-                self._newest[leader] = kept.with_next(now_s, beacon)
-            elif stamp != kept.beacon.stamp:
-                kept = kept.with_rival(now_s, stamp)
-                confirmed = kept.rival_s == now_s and now_s - max(kept.rival_since_s, kept.received_s) >= CONFIRMED_S
-                self._newest[leader] = _Kept(beacon, now_s, float(stamp)) if confirmed else kept
+            self._newest[leader] = _Kept(beacon, now_s, float(stamp)) if kept is None else _after(kept, now_s, beacon)
 
     def youngest(self, now_s: float) -> tuple[LeaderBeacon | None, float]:
         """The beacon to pass on and its age in seconds; None and infinity without one within `max_age_s`.
@@ -100,11 +97,6 @@ class BeaconMonitor:
 
 def _rank(beacon: LeaderBeacon, age_s: float) -> tuple[Term, bool, float, int]:
     return (beacon.term, beacon.reference_s > 0.0, -age_s, beacon.leader_id)
-
-
-def _is_next(stamp: int, before: int, clock_stamp: float, elapsed_s: float) -> bool:
-    """Whether a stamp follows another one by the leader's clock, which was at `clock_stamp`."""
-    return before < stamp <= clock_stamp + STAMPS_PER_S * elapsed_s + STAMPS_AHEAD
 
 
 # On average a packet waits half a tick until it is read; without this each change of leader would lose as much.
@@ -141,6 +133,11 @@ class MissionClock:
             runs_on = beacon is None and in_formation
         else:
             zero_s = now_s - (beacon.reference_s + beacon_age_s + WAITED_S)
+            own_zero_s = self._zero_s if self.runs else now_s - self._counted_s
+            if abs(zero_s - own_zero_s) <= CORRECTION_S:
+                self._rival = None
+                self._zero_s = zero_s
+                return self._run(now_s)
             if self._is_believed(now_s, zero_s):
                 self._zero_s = zero_s
                 return self._run(now_s)
@@ -161,14 +158,10 @@ class MissionClock:
         return other.reference_s == 0.0 or abs(other.reference_s + other_age_s - (now_s - self._zero_s)) < FALLS_BACK_S
 
     def _is_believed(self, now_s: float, zero_s: float) -> bool:
-        """Whether to follow a beacon: at once in small steps, else after DIFFERS_FOR_S of beacons that agree.
+        """Whether to follow a beacon that is no small step away: after DIFFERS_FOR_S of beacons that agree.
 
         Larger steps of single beacons would add up, and a fall that does not last would restart the formation's time.
         """
-        own_zero_s = self._zero_s if self.runs else now_s - self._counted_s
-        if abs(zero_s - own_zero_s) <= CORRECTION_S:
-            self._rival = None
-            return True
         if self._rival is None or abs(zero_s - self._rival[0]) > FALLS_BACK_S:
             self._rival = (zero_s, now_s)
         if now_s - self._rival[1] < DIFFERS_FOR_S:

@@ -42,7 +42,8 @@ class Leadership:
         self._commanded = Lead(tuple(leaders), 0)
         self.term: Term = (0, 0)
         self.role = self._role_in(self._commanded)
-        self._unconfirmed: tuple[float, Term, Role] | None = None  # since when, and term and role before
+        # A received term that needs more beacons: since when, and term and role before it; None once it is settled
+        self.unconfirmed: tuple[float, Term, Role] | None = None
         self._stamps: dict[int, int] = {}  # largest of each leader of an unconfirmed term
         self._refuted: tuple[tuple[Term, int], ...] = ()  # terms and stamps that others may still pass on
 
@@ -77,26 +78,21 @@ class Leadership:
         if not new:
             return ()
         newest = max(new, key=lambda beacon: (beacon.term, beacon.stamp))
-        term, role = self._unconfirmed[1:] if self._unconfirmed else (self.term, self.role)
+        term, role = self.unconfirmed[1:] if self.unconfirmed else (self.term, self.role)
         events = self._enter(newest.term, Role.FOLLOWER, "reported by a peer")
-        self._unconfirmed, self._stamps = (now_s, term, role), {newest.leader_id: newest.stamp}
+        self.unconfirmed, self._stamps = (now_s, term, role), {newest.leader_id: newest.stamp}
         self._refute(newest.term)
         return events
 
-    @property
-    def is_settled(self) -> bool:
-        """Whether the present term needs no more beacons."""
-        return self._unconfirmed is None
-
     def settle(self, now_s: float, beacons: Iterable[LeaderBeacon]) -> tuple[Notice, ...]:
         """Keep a received term once a stamp rises in these beacons of peers; else return to the term before."""
-        if self._unconfirmed is None:
+        if self.unconfirmed is None:
             return ()
-        since_s, term, role = self._unconfirmed
+        since_s, term, role = self.unconfirmed
         rises = [self._rises(beacon) for beacon in beacons if beacon.term == self.term]
         if any(rises) and now_s - since_s >= RISES_AFTER_S:
-            self._unconfirmed = None
-        if self._unconfirmed is None or now_s - since_s <= UNCONFIRMED_S:
+            self.unconfirmed = None
+        if self.unconfirmed is None or now_s - since_s <= UNCONFIRMED_S:
             return ()
         self._refute(self.term)
         return self._enter(term, role, f"no leader of epoch {self.epoch}")
@@ -135,7 +131,7 @@ class Leadership:
         return Role.LEADER if self._own_id in lead.leaders else Role.FOLLOWER
 
     def _enter(self, term: Term, role: Role, reason: str) -> tuple[Notice, ...]:
-        before, self.term, self.role, self._unconfirmed = self.role, term, role, None
+        before, self.term, self.role, self.unconfirmed = self.role, term, role, None
         if role is before:
             return ()
         return (Notice(Code.ROLE_CHANGED, f"{before} -> {role} in epoch {term[0]} ({reason})"),)
@@ -178,8 +174,13 @@ class Succession:
         self._led = False  # in the last tick
         self._returns_s = 0.0  # after the present term, where it has no leader
 
-    def awaits(self, now_s: float, term: Term, led: bool, with_neighbours: bool) -> bool:
-        """Whether a leader is known, or may still appear. `with_neighbours`: a neighbour flies in formation."""
+    def awaits(self, now_s: float, term: Term, led: bool, with_neighbours: bool, last_led_s: float = -inf) -> bool:
+        """Whether a leader is known, or may still appear. `with_neighbours`: a neighbour flies in formation.
+
+        A tick in which a leader is known in the same term as in the tick before needs no call: `last_led_s` is the newest one.
+        """
+        if last_led_s > self._led_s:
+            self._led_s = last_led_s
         if term > self._term:
             self._returns_s = RETURN_S if self._led else 0.0
         if led or term != self._term:

@@ -91,32 +91,25 @@ class VelocityCorrection:
 
     def follow(self, time_s: float, position_m: Vector3, velocity_m_s: Vector3) -> Vector3:
         """The velocity to be used, m/s. `time_s` is the autopilot's clock and increases from call to call."""
-        before = self._before
+        before, filtered_m = self._before, position_m
         if before is None or time_s - before[0] > LONGEST_GAP_S:
             self.restart()
-            filtered_m = position_m
         else:
-            filtered_m = self._filtered(time_s - before[0], position_m, velocity_m_s, before[1], before[2])
+            # The prediction p, and the error e
+            (fx, fy, fz), (vx0, vy0, vz0), step_s = before[1], before[2], time_s - before[0]
+            (x, y, z), (vx, vy, vz), (bx, by, bz) = position_m, velocity_m_s, self._correction_m_s
+            px = fx + ((vx0 + vx) * 0.5 + bx) * step_s
+            py = fy + ((vy0 + vy) * 0.5 + by) * step_s
+            pz = fz + ((vz0 + vz) * 0.5 + bz) * step_s
+            ex, ey, ez = x - px, y - py, z - pz
+            # A jump of the reported position moves the filtered one and leaves the correction as it is.
+            if not hypot(ex, ey, ez) > self._largest_error_m:
+                # The continuous filter, sampled: critically damped with both poles at exp(-w step), stable at every step.
+                pole = exp(-self._bandwidth_1_s * step_s)
+                on_velocity_1_s = (1.0 - pole) * (1.0 - pole) / step_s
+                corrected_m_s = (bx + ex * on_velocity_1_s, by + ey * on_velocity_1_s, bz + ez * on_velocity_1_s)
+                self._correction_m_s = shortened(corrected_m_s, LARGEST_M_S)
+                on_position = 1.0 - pole * pole
+                filtered_m = (px + ex * on_position, py + ey * on_position, pz + ez * on_position)
         self._before = (time_s, filtered_m, velocity_m_s)
         return plus(velocity_m_s, self._correction_m_s)
-
-    def _filtered(
-        self, step_s: float, position_m: Vector3, velocity_m_s: Vector3, filtered_m: Vector3, velocity0_m_s: Vector3
-    ) -> Vector3:
-        """The filtered position after a step. A jump of the reported one moves it and leaves the correction as it is."""
-        (vx0, vy0, vz0), (vx, vy, vz), (bx, by, bz) = velocity0_m_s, velocity_m_s, self._correction_m_s
-        (x, y, z), (fx, fy, fz) = position_m, filtered_m
-        # The prediction p, and the error e
-        px = fx + ((vx0 + vx) * 0.5 + bx) * step_s
-        py = fy + ((vy0 + vy) * 0.5 + by) * step_s
-        pz = fz + ((vz0 + vz) * 0.5 + bz) * step_s
-        ex, ey, ez = x - px, y - py, z - pz
-        if hypot(ex, ey, ez) > self._largest_error_m:
-            return position_m
-        # The continuous filter, sampled: critically damped with both poles at exp(-w step), stable at every step.
-        pole = exp(-self._bandwidth_1_s * step_s)
-        on_velocity_1_s = (1.0 - pole) * (1.0 - pole) / step_s
-        corrected_m_s = (bx + ex * on_velocity_1_s, by + ey * on_velocity_1_s, bz + ez * on_velocity_1_s)
-        self._correction_m_s = shortened(corrected_m_s, LARGEST_M_S)
-        on_position = 1.0 - pole * pole
-        return (px + ex * on_position, py + ey * on_position, pz + ez * on_position)

@@ -8,14 +8,13 @@ reported.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from math import dist, hypot, inf, isfinite
+from collections.abc import Callable, Iterable, Mapping
+from math import dist, hypot, isfinite
 from typing import Any
 
 from msgspec import Struct
 
 from companion.core.estimation.corrections import RELEASE_M_S, PositionReset, VelocityCorrection
-from companion.core.preflight import Fitness, Preflight
 from companion.geometry.frames import enu_from_geodetic
 from companion.geometry.vectors import mean
 from companion.types.autopilot import (
@@ -50,44 +49,9 @@ class Perception(Struct, frozen=True, gc=False):
     """The own vehicle in this tick. `rejected` counts samples by reason."""
 
     vehicle: VehicleState
-    fitness: Fitness
     rejected: Mapping[str, int]
     requests: tuple[AutopilotRequest, ...] = ()
     events: tuple[Notice, ...] = ()
-
-
-class PerceptionStage:
-    """Tracks the vehicle's state and its preflight checks."""
-
-    def __init__(self, tracker: VehicleTracker, preflight: Preflight) -> None:
-        self._tracker = tracker
-        self._preflight = preflight
-        self._origin_asked_s = -inf
-
-    def step(self, now_s: float, telemetry: Sequence[Telemetry], before: Flight) -> Perception:
-        """`before` is the flight of the last tick: only while it cooperates does a position that jumps follow slowly."""
-        tracker, preflight = self._tracker, self._preflight
-        if before.phase not in COOPERATING:
-            tracker.accept_next_position()
-        vehicle, resets = tracker.fold(telemetry)
-        findings = preflight.update(now_s, telemetry, vehicle.autopilot)
-        requests = self._origin_requests(now_s, vehicle)
-        return Perception(vehicle, preflight.fitness, tracker.rejected, requests, findings + resets)
-
-    def parameter_requests(self, now_s: float, flight: Flight) -> tuple[AutopilotRequest, ...]:
-        """The parameters to read next. None while setpoints stream: those read before count for the whole formation."""
-        return () if flight.streams else self._preflight.ask(now_s)
-
-    def _origin_requests(self, now_s: float, vehicle: VehicleState) -> tuple[AutopilotRequest, ...]:
-        if vehicle.autopilot is None:
-            return ()
-        period_s = ORIGIN_REPEAT_S if vehicle.altitude_amsl_m is None else ORIGIN_REFRESH_S
-        if now_s - vehicle.jump_time_s < ORIGIN_REPEAT_S:
-            period_s = ORIGIN_SOON_S
-        if now_s - self._origin_asked_s < period_s:
-            return ()
-        self._origin_asked_s = now_s
-        return (RequestOrigin(),)
 
 
 MAX_LOCAL_M = 100_000.0  # the 32-bit floats of LOCAL_POSITION_NED lose centimetres well below this
@@ -118,7 +82,7 @@ class VehicleTracker:
         self._ground_up_m: float | None = None if height_from_takeoff else 0.0
         self._follows_ground = height_from_takeoff
         self._position: PositionSample | None = None
-        self._jump_s = self._error_s = float("-inf")
+        self._jump_s = self._error_s = self._origin_asked_s = float("-inf")
         self._healthy_by_status = self._healthy_by_system = True  # ESTIMATOR_STATUS, SYS_STATUS
         self.rejected: Counter[str] = Counter()
         self._events: list[Notice] = []  # of the fold in progress
@@ -137,9 +101,23 @@ class VehicleTracker:
             SystemSample: self._fold_system,
         }
 
-    def accept_next_position(self) -> None:
-        """Use the next position unchanged. For times when neither this vehicle nor a neighbour controls by it."""
-        self._position_reset.restart()
+    def step(self, now_s: float, telemetry: Iterable[Telemetry], before: Flight) -> Perception:
+        """`before` is the flight of the last tick: only while it cooperates does a position that jumps follow slowly.
+
+        At other times neither this vehicle nor a neighbour controls by the position, and the next one is used unchanged.
+        """
+        if before.phase not in COOPERATING:
+            self._position_reset.restart()
+        vehicle, events = self.fold(telemetry)
+        requests: tuple[AutopilotRequest, ...] = ()
+        if vehicle.autopilot is not None:
+            period_s = ORIGIN_REPEAT_S if vehicle.altitude_amsl_m is None else ORIGIN_REFRESH_S
+            if now_s - vehicle.jump_time_s < ORIGIN_REPEAT_S:
+                period_s = ORIGIN_SOON_S
+            if now_s - self._origin_asked_s >= period_s:
+                self._origin_asked_s = now_s
+                requests = (RequestOrigin(),)
+        return Perception(vehicle, self.rejected, requests, events)
 
     def fold(self, telemetry: Iterable[Telemetry]) -> tuple[VehicleState, tuple[Notice, ...]]:
         """State after these samples, and the events. An implausible sample is counted in `rejected` and changes nothing."""
@@ -176,10 +154,9 @@ class VehicleTracker:
         own_altitude_m = self._frame.own_altitude_amsl_m
         self._fields["frame_known"] = self._ground_up_m is not None
         self._fields["altitude_amsl_m"] = None if own_altitude_m is None else own_altitude_m + up
-        if self._ground_up_m is not None:
-            self._use(sample, (east + offset_m[0], north + offset_m[1], up + offset_m[2] - self._ground_up_m))
-
-    def _use(self, sample: PositionSample, position_enu_m: Vector3) -> None:
+        if self._ground_up_m is None:
+            return
+        position_enu_m = (east + offset_m[0], north + offset_m[1], up + offset_m[2] - self._ground_up_m)
         used_enu_m, jump_m = self._position_reset.follow(sample.boot_time_s, position_enu_m, sample.velocity_enu_m_s)
         if jump_m:
             self._fields.update(jump_time_s=sample.received_s)
@@ -189,17 +166,16 @@ class VehicleTracker:
             self._jump_s = sample.received_s
         fields, held_back_m = self._fields, self._position_reset.held_back_m
         fields["position_enu_m"] = used_enu_m
-        fields["velocity_enu_m_s"] = self._velocity(sample, position_enu_m)
+        velocity_enu_m_s = sample.velocity_enu_m_s
+        if (
+            self._velocity_correction is not None
+        ):  # by the reported position: a jump that is released slowly is no velocity
+            velocity_enu_m_s = self._velocity_correction.follow(sample.boot_time_s, position_enu_m, velocity_enu_m_s)
+        fields["velocity_enu_m_s"] = velocity_enu_m_s
         fields["position_time_s"] = sample.received_s
         if not fields.get("armed", True) and self._on_ground():
             fields["ground_position_enu_m"] = used_enu_m
         fields["held_back_m"] = 0.0 if held_back_m is ZERO3 else hypot(*held_back_m)
-
-    def _velocity(self, sample: PositionSample, position_enu_m: Vector3) -> Vector3:
-        """Consistent with the reported position. A jump that is released slowly is no velocity."""
-        if self._velocity_correction is None:
-            return sample.velocity_enu_m_s
-        return self._velocity_correction.follow(sample.boot_time_s, position_enu_m, sample.velocity_enu_m_s)
 
     def _on_ground(self) -> bool:
         """Whether the autopilot reports disarmed, and not in flight."""

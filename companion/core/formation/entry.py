@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable
 from math import dist, hypot
 
 from companion.core.consensus.law import FormationState, formation_state
-from companion.core.consensus.peers import PeerState
+from companion.core.consensus.peers import PeerState, formation_state_at
 from companion.core.consensus.stage import Consensus
 from companion.core.formation.paths import FormingTogether, Frame, Offset, Path, gentle_path, offset_from
 from companion.core.reference.blend import SAMPLES
@@ -113,7 +113,7 @@ class FormationEntry:
         if flight.phase not in STREAMING:
             self._lead_in.end()
         elif begins:
-            states = [peer.formation_state_at(now_s) for peer in _formed(consensus.peers.fresh.values())]
+            states = [formation_state_at(peer, now_s) for peer in _formed(consensus.peers.fresh.values())]
             if self._led:
                 states.append(formation_state(vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot))
             self._lead_in.begin(now_s, mean_state(states) if states else held, held)
@@ -134,15 +134,15 @@ class FormationEntry:
         if reference is not None and not formed:
             if not (first := _first(forming)) or first.packet.sender.vehicle_id > self._own_id:
                 return reference, 0.0
-            return first.formation_state_at(now_s), first.packet.slot.moves_for_s
+            return formation_state_at(first, now_s), first.packet.slot.moves_for_s
         if reference is None and (first := _first(forming)):
-            return first.formation_state_at(now_s), first.packet.slot.moves_for_s
+            return formation_state_at(first, now_s), first.packet.slot.moves_for_s
         if formed:
             ends_in_s = max(peer.packet.slot.moves_for_s for peer in formed)
-            return mean_state([peer.formation_state_at(now_s) for peer in formed]), ends_in_s
+            return mean_state([formation_state_at(peer, now_s) for peer in formed]), ends_in_s
         engaged = [peer for peer in peers if peer.packet.phase in STREAMING]
         if first := _first(leaders) or _first(engaged):
-            return first.formation_state_at(now_s), first.packet.slot.moves_for_s
+            return formation_state_at(first, now_s), first.packet.slot.moves_for_s
         text = "no leader and no vehicle that forms is received; give form again when a neighbour is in formation"
         raise Refused(Code.NO_FORMATION_TO_JOIN, text)
 
@@ -193,7 +193,7 @@ class Joining:
         self._refuse_while_others_move(peers)
         if not formed:
             raise Refused(Code.NO_FORMATION_TO_JOIN, "no vehicle is in formation any more")
-        fleet = mean_state([peer.formation_state_at(now_s) for peer in formed])
+        fleet = mean_state([formation_state_at(peer, now_s) for peer in formed])
         for peer in formed:
             apart_m = dist(slot, in_formation_frame(peer.slot_at(now_s).position_enu_m, heading))
             if apart_m < self._separation_m:

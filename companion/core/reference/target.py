@@ -148,7 +148,7 @@ class Targets:
                 self.rejected = count_rejection(self.rejected, code)
             else:
                 stream = self._streams[sample.name]
-                measured_s = sample.received_s - stream.late_s(sample.sample.sent_s)
+                measured_s = sample.received_s - stream.late_s
                 self._newest[sample.name] = Target(
                     sample.sample, sample.received_s, stream.clock.least_apart_s, measured_s
                 )

@@ -36,6 +36,7 @@ STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "telemetry drained": lambda flight: (flight.link, "drain"),
     "response to a failure, its telemetry": lambda flight: (flight.loop._response, "receive"),
     "perception": lambda flight: (flight.agent._perception, "step"),
+    "preflight": lambda flight: (flight.agent._preflight, "step"),
     "phases, observed": lambda flight: (flight.agent._phases, "observe"),
     "arbitration": lambda flight: (flight.agent._arbitration, "step"),
     "consensus": lambda flight: (flight.agent._consensus, "step"),
@@ -43,7 +44,7 @@ STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "safety": lambda flight: (flight.agent._safeguard, "step"),
     "dispatcher": lambda flight: (flight.agent._dispatcher, "step"),
     "phases": lambda flight: (flight.agent._phases, "step"),
-    "parameter requests": lambda flight: (flight.agent._perception, "parameter_requests"),
+    "parameter requests": lambda flight: (flight.agent._preflight, "ask"),
     "setpoint": lambda flight: (flight.agent._setpoint, "step"),
     "distant peers": lambda flight: (flight.agent._distant_peers, "step"),
     "response to a failure, its setpoint": lambda flight: (flight.loop._response, "sent"),
@@ -70,7 +71,13 @@ STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
 }
 SETPOINT_FAILS = ("setpoint encoded", "setpoint sent")
 REQUEST_FAILS = ("request encoded", "request sent")
-AT_A_COMMAND = (*REQUEST_FAILS, "dispatcher", "replies composed", "event logged")  # in a quiet tick these do nothing
+AT_A_COMMAND = (
+    *REQUEST_FAILS,
+    "arbitration",
+    "dispatcher",
+    "replies composed",
+    "event logged",
+)  # in a quiet tick these do nothing
 LAST_PACKET_TICKS = 2  # the last packet of a report that fails is of the tick before
 
 

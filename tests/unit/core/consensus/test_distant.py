@@ -217,11 +217,11 @@ def receive(peers: PeerTable, now_s: float, **changes: Any) -> None:
 def test_a_distant_peer_is_present_for_longer_but_never_fresh() -> None:
     peers = table()
     receive(peers, 10.0)
-    assert peers.present(10.0, peers.fresh(10.0)).keys() == {5}
+    assert peers.in_time(10.0)[1].keys() == {5}
     peers.set_low_rate_peers(10.02, frozenset({5}))
     for now_s, present in ((10.02, {5}), (10.35, {5}), (10.99, {5}), (11.02, set())):
-        assert peers.fresh(now_s) == {}
-        assert peers.present(now_s, {}).keys() == present
+        assert peers.in_time(now_s)[0] == {}
+        assert peers.in_time(now_s)[1].keys() == present
 
 
 def test_a_peer_that_is_no_longer_distant_is_missed_only_after_its_first_packets_were_due() -> None:
@@ -229,10 +229,10 @@ def test_a_peer_that_is_no_longer_distant_is_missed_only_after_its_first_packets
     receive(peers, 10.0)
     peers.set_low_rate_peers(10.0, frozenset({5}))
     peers.set_low_rate_peers(10.35, NONE)
-    assert peers.fresh(10.4) == {}
-    assert peers.present(10.4, {}).keys() == {5}
+    assert peers.in_time(10.4)[0] == {}
+    assert peers.in_time(10.4)[1].keys() == {5}
     peers.set_low_rate_peers(10.02 + FULL_RATE_WITHIN_S, NONE)
-    assert peers.present(10.02 + FULL_RATE_WITHIN_S, {}) == {}
+    assert peers.in_time(10.02 + FULL_RATE_WITHIN_S)[1] == {}
 
 
 def test_packets_at_5_hz_are_in_order_and_may_jump_no_farther() -> None:

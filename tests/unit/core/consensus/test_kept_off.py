@@ -16,7 +16,7 @@ from companion.core.consensus.law import (
     target,
     weighted,
 )
-from companion.core.consensus.peers import PeerState
+from companion.core.consensus.peers import PeerState, formation_state_at
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
@@ -105,7 +105,7 @@ def test_peers_use_the_rft_in_place_of_its_offset() -> None:
         rft=(RFT.position_enu_m, RFT.velocity_enu_m_s, RFT.acceleration_enu_m_s2),
     )
     peer = PeerState(packet, received_s=1.0, least_apart_s=0.0, measured_s=1.0)
-    state = peer.formation_state_at(1.02)
+    state = formation_state_at(peer, 1.02)
     assert state.position_enu_m == pytest.approx(
         tuple(x + 0.02 * v for x, v in zip(RFT.position_enu_m, RFT.velocity_enu_m_s, strict=True)), abs=3e-4
     )

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from common import with_fields
 from companion.core.consensus.neighbours import BRIDGED_S, BRIDGES_AFTER_S, EdgeRule, RangeRule
-from companion.core.consensus.peers import EXTRAPOLATED_MOST_S, FleetLimits, PeerState, PeerTable
+from companion.core.consensus.peers import EXTRAPOLATED_MOST_S, FleetLimits, PeerState, PeerTable, formation_state_at
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, Heading, LeaderBeacon
@@ -50,7 +50,7 @@ def rejections(peers: PeerTable, received_s: float = 1.0, **changes: Any) -> lis
 def test_valid_packet_is_accepted() -> None:
     peers = table()
     assert rejections(peers) == []
-    assert peers.fresh(1.1)[2].position_at(1.1) == pytest.approx((1.055, 2.0, 3.0))  # 0.11 s at 0.5 m/s
+    assert peers.in_time(1.1)[0][2].position_at(1.1) == pytest.approx((1.055, 2.0, 3.0))  # 0.11 s at 0.5 m/s
 
 
 MOVING = with_fields(
@@ -64,7 +64,7 @@ MOVING = with_fields(
 @given(st.floats(0.0, EXTRAPOLATED_MOST_S))
 def test_the_law_uses_neighbours_where_they_are_now(age_s: float) -> None:
     """A neighbour with constant acceleration, less its slot: x + v a + u a^2 / 2, and v + u a."""
-    state = PeerState(MOVING, 1.0, 0.0, measured_s=1.0).formation_state_at(1.0 + age_s)
+    state = formation_state_at(PeerState(MOVING, 1.0, 0.0, measured_s=1.0), 1.0 + age_s)
     assert state.position_enu_m[0] == pytest.approx(2.5 + 1.5 * age_s + 0.4 * age_s**2)
     assert state.position_enu_m[1:] == pytest.approx((2.0 - age_s + 0.25 * age_s**2, 3.0 - 0.25 * age_s**2))
     assert state.velocity_enu_m_s == pytest.approx((1.5 + 0.8 * age_s, -1.0 + 0.5 * age_s, -0.5 * age_s))
@@ -74,8 +74,8 @@ def test_the_law_uses_neighbours_where_they_are_now(age_s: float) -> None:
 @pytest.mark.parametrize(("prc", "most_s"), [(1, 0.08), (3, 0.08), (4, 0.04), (100, 0.04)])
 def test_states_are_extrapolated_by_two_ticks_at_most_and_by_four_near_the_leader(prc: int, most_s: float) -> None:
     state = PeerState(with_fields(MOVING, prc=prc), 1.0, 0.0, measured_s=1.0)
-    assert state.formation_state_at(1.3) == state.formation_state_at(1.0 + most_s)
-    assert state.formation_state_at(1.3) != state.formation_state_at(0.99 + most_s)
+    assert formation_state_at(state, 1.3) == formation_state_at(state, 1.0 + most_s)
+    assert formation_state_at(state, 1.3) != formation_state_at(state, 0.99 + most_s)
     assert state.position_at(1.3)[0] == pytest.approx(1.0 + 2.0 * 0.3)  # what is kept apart is where it is
 
 
@@ -133,14 +133,14 @@ def test_states_are_extrapolated_by_two_ticks_at_most_and_by_four_near_the_leade
 def test_implausible_packet_is_counted_and_not_used(changes: dict[str, Any], code: Code) -> None:
     peers = table()
     assert rejections(peers, **changes) == [f"{code} {changes.get('vehicle_id', 2)}"]
-    assert peers.fresh(1.0) == {}
+    assert peers.in_time(1.0)[0] == {}
 
 
 @given(st.tuples(*[st.floats()] * 3), st.tuples(*[st.floats()] * 3), st.floats(), st.integers())
 def test_table_holds_only_finite_numbers(position: Any, velocity: Any, age: float, prc: int) -> None:
     peers = table()
     rejections(peers, position_enu_m=position, velocity_enu_m_s=velocity, state_age_s=age, prc=prc)
-    for peer in peers.fresh(1.0).values():
+    for peer in peers.in_time(1.0)[0].values():
         assert all(abs(x) < 1e6 for x in peer.position_at(1.0))
 
 
@@ -172,7 +172,7 @@ def test_of_a_packet_with_an_epoch_too_high_only_the_motion_is_used() -> None:
     peers = table()
     leads = {"vehicle_id": 1, "prc": 1, "role": Role.LEADER, "beacon": LeaderBeacon(1, 1008, 100)}
     assert rejections(peers, **leads) == [f"{Code.PEER_EPOCH_TOO_HIGH} 1"]
-    peer = peers.fresh(1.0)[1]
+    peer = peers.in_time(1.0)[0][1]
     assert peer.term == (0, 0)
     assert (peer.packet.role, peer.packet.leader.prc, peer.packet.leader.beacon) == (Role.FOLLOWER, 3, None)
 
@@ -195,21 +195,21 @@ def test_invalid_formation_change_is_not_used(change: FormationChange, by: dict[
     assert rejections(table(), change=FormationChange(1, SLOTS, 10.0, 5.0), **LEADS) == []
     peers = table()
     assert rejections(peers, change=change, **by)[0].startswith(Code.PEER_CHANGE_IMPLAUSIBLE)
-    assert peers.fresh(1.0) == {}
+    assert peers.in_time(1.0)[0] == {}
 
 
 def test_permitted_leader_is_accepted_in_either_role() -> None:
     peers = table()
     assert rejections(peers, vehicle_id=1, role=Role.LEADER, prc=1) == []
     assert rejections(peers, vehicle_id=1, role=Role.FOLLOWER, prc=2, sequence=11) == []
-    assert peers.fresh(1.0)[1].packet.role is Role.FOLLOWER
+    assert peers.in_time(1.0)[0][1].packet.role is Role.FOLLOWER
 
 
 def test_stale_peer_is_not_fresh() -> None:
     peers = table()
     rejections(peers)
-    assert 2 in peers.fresh(1.28)
-    assert 2 not in peers.fresh(1.31)  # 0.01 s old when it was sent
+    assert 2 in peers.in_time(1.28)[0]
+    assert 2 not in peers.in_time(1.31)[0]  # 0.01 s old when it was sent
 
 
 def test_replayed_and_reordered_packets_are_refused() -> None:
@@ -225,7 +225,7 @@ def test_restarted_peer_is_accepted_when_its_old_session_is_stale() -> None:
     rejections(peers)
     assert rejections(peers, 1.02, session=78, sequence=1) == [f"{Code.PEER_ID_TWICE} 2"]
     rejections(peers, 2.0, session=78, sequence=2)
-    assert peers.fresh(2.0)[2].packet.sender.session == 78
+    assert peers.in_time(2.0)[0][2].packet.sender.session == 78
 
 
 def test_position_jump_is_refused_until_the_old_state_is_stale() -> None:
@@ -233,7 +233,7 @@ def test_position_jump_is_refused_until_the_old_state_is_stale() -> None:
     rejections(peers)
     assert rejections(peers, 1.02, sequence=11, position_enu_m=(60.0, 2.0, 3.0)) == [f"{Code.PEER_POSITION_JUMPED} 2"]
     rejections(peers, 1.5, sequence=30, position_enu_m=(60.0, 2.0, 3.0))
-    assert peers.fresh(1.5)[2].packet.motion.position_enu_m[0] == 60.0
+    assert peers.in_time(1.5)[0][2].packet.motion.position_enu_m[0] == 60.0
 
 
 class DelayedLink:
@@ -254,7 +254,7 @@ class DelayedLink:
 
     def fresh(self, after_s: float) -> dict[int, PeerState]:
         """Receive at this time after the last packet was sent."""
-        return self.peers.fresh(self.sent_s + after_s)
+        return self.peers.in_time(self.sent_s + after_s)[0]
 
 
 def test_additional_delay_increases_the_age() -> None:
@@ -395,7 +395,7 @@ def test_accelerations_are_used_within_the_fleet_s_limits() -> None:
     rft = (ZERO3, ZERO3, (0.0, -90.0, 0.0))
     counted = rejections(peers, acceleration_enu_m_s2=(60.0, 80.0, 0.0), slot=slot, rft=rft)
     assert counted == [f"{Code.PEER_ACCELERATION_LIMITED} 2"]
-    packet = peers.fresh(1.0)[2].packet
+    packet = peers.in_time(1.0)[0][2].packet
     assert packet.motion.acceleration_enu_m_s2 == pytest.approx((4.8, 6.4, 0.0))
     assert packet.slot.acceleration_enu_m_s2 == pytest.approx((0.0, 0.0, -8.0))
     assert packet.rft is not None

@@ -21,6 +21,7 @@ from companion.types.autopilot import (
     Telemetry,
     VehicleState,
 )
+from companion.types.flight import Flight
 from companion.types.notices import Code, Notice
 from companion.types.values import Vector3
 
@@ -166,10 +167,10 @@ def test_estimator_reset_is_followed_slowly_and_reported() -> None:
     assert autopilot.send(ticks=260).position_enu_m == pytest.approx((4.0, 4.0, 5.0), abs=0.001)
 
 
-def test_next_position_is_used_at_once_on_request() -> None:
+def test_next_position_is_used_at_once_out_of_formation() -> None:
     autopilot = flying()
     autopilot.send(autopilot.origin())
-    autopilot.tracker.accept_next_position()
+    autopilot.tracker.step(autopilot.now_s, (), Flight())  # not in formation
     autopilot.true_m = (9.0, 9.0, 0.0)
     assert autopilot.send().position_enu_m == pytest.approx((9.0, 9.0, 0.0), abs=0.005)
 

@@ -8,6 +8,7 @@ from companion.core.estimation.corrections import VelocityCorrection
 from companion.core.estimation.vehicle import VehicleTracker
 from companion.geometry.frames import geodetic_from_enu
 from companion.types.autopilot import AttitudeSample, OriginSample, PositionSample
+from companion.types.flight import Flight
 from companion.types.values import Vector3
 
 FLEET = (47.397742, 8.545594, 488.0)
@@ -73,7 +74,7 @@ def test_last_position_is_dropped_when_the_origin_moves() -> None:
     assert tracker.fold([OriginSample(0.0, *FLEET)])[0].position_time_s == 101.0  # sent again, unchanged
     moved = OriginSample(0.0, *geodetic_from_enu((5.0, 0.0, 0.0), FLEET))
     assert tracker.fold([moved])[0].position_time_s == float("-inf")
-    tracker.accept_next_position()
+    tracker.step(1.0, (), Flight())  # not in formation
     assert tracker.fold([sample(1.02)])[0].position_enu_m == pytest.approx((6.0, 2.0, 3.0), abs=1e-6)
 
 

@@ -75,9 +75,9 @@ def test_other_px4_version_is_a_warning() -> None:
 
 def test_no_parameter_is_requested_before_the_heartbeat() -> None:
     preflight = Preflight(DisturbanceObserver(0.5, 0.0, 4.0), PROFILES)
-    preflight.update(0.0, (), None)
-    assert preflight.ask(0.0) == ()
-    assert code_of(preflight.fitness.refusal) is Code.AUTOPILOT_UNKNOWN
+    fitness = preflight.step(0.0, (), None)
+    assert preflight.ask(0.0, streams=False) == ()
+    assert code_of(fitness.refusal) is Code.AUTOPILOT_UNKNOWN
 
 
 def test_ardupilot_without_the_thrust_parameter_is_refused() -> None:
@@ -148,7 +148,7 @@ def test_status_lists_no_findings_when_armed(kind: AutopilotKind) -> None:
 def test_observer_starts_from_the_hover_thrust_parameter(kind: AutopilotKind, name: str) -> None:
     observer = DisturbanceObserver(0.5, 0.0, 4.0)
     preflight = Preflight(observer, PROFILES)
-    preflight.update(0.0, (ParameterSample(0.0, name, 0.35),), kind)
+    preflight.step(0.0, (ParameterSample(0.0, name, 0.35),), kind)
     assert observer.hover_thrust_norm == 0.35
 
 
