@@ -188,9 +188,8 @@ class ConsensusStage:
         relays = self._relays(now_s, flying, fresh, present, in_formation)
         ids = self._rule.select(vehicle.position_enu_m, relays, now_s)
         neighbours = [fresh[i].packet for i in ids]
-        received = [p.leader.beacon for p in neighbours if p.leader.beacon is not None]
         # The own beacon comes back from before a handover or a restart.
-        others = [beacon for beacon in received if beacon.leader_id != self._own_id]
+        others = [b for p in neighbours if (b := p.leader.beacon) is not None and b.leader_id != self._own_id]
         self._leader.receive(now_s, others, leadership.term)
         youngest, age_s = self._leader.youngest(now_s)
         settled = self._settle_term(now_s, in_formation, youngest, flying)
