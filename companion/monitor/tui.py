@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from importlib.util import find_spec
+from importlib import import_module
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -123,8 +123,11 @@ def _nothing_received(session: FleetSession, endpoints: Sequence[str]) -> str:
 
 def _need_rich() -> None:
     """Raises MonitorError where its package is missing."""
-    if find_spec("rich") is None:
-        raise MonitorError(f"the live table needs the package rich: {GROUND_INSTALL}, or use --once, --json or a pipe")
+    try:
+        import_module("rich.console")
+    except ImportError as error:
+        needed = f"the live table needs the package rich: {GROUND_INSTALL}, or use --once, --json or a pipe"
+        raise MonitorError(needed) from error
 
 
 def _reader(session: FleetSession) -> Callable[[], list[ReportedVehicle]]:
