@@ -75,7 +75,7 @@ class Flight:
 
     def lead_by(self, trajectory: ReferenceTrajectory) -> None:
         """Fly this from now on, whatever lies in the way. Time 0 is now."""
-        begun_s = self.plan._reference_s
+        begun_s = self.plan._agreement.reference_s
         self.plan._flown = lambda reference_s: trajectory(max(0.0, reference_s - begun_s))
 
     def check(self) -> None:
@@ -87,7 +87,7 @@ class Flight:
 
     def reference_room_m(self) -> float:
         """That of the leader's slot, which the reference asks for now."""
-        x, y, z = self.plan.at(self.plan._reference_s).position_enu_m
+        x, y, z = self.plan.at(self.plan._agreement.reference_s).position_enu_m
         return self.scenario.fleet.airspace.room_m((x + 1.5, y + 1.5, z))
 
 
@@ -195,7 +195,7 @@ def test_a_target_that_walks_out_of_the_airspace_is_awaited_before_it(
     reference = "{kind: target, name: walker, start_enu_m: [0.0, 0.0, 4.0], max_speed_m_s: 3.5}"
     flight = Flight(f"reference={reference}")
     walk(flight, target_enu_m, 12.0)
-    at = flight.plan.at(flight.plan._reference_s).position_enu_m
+    at = flight.plan.at(flight.plan._agreement.reference_s).position_enu_m
     assert flight.reference_room_m() > -0.01
     assert reaches_enu_m is None or np.linalg.norm(np.subtract(at, reaches_enu_m)) < 0.1
     flight.check()
