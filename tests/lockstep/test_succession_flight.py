@@ -51,10 +51,10 @@ class Flown:
     reports: list[Status]
 
     def noticed_s(self) -> dict[int, float]:
-        return self._first(lambda packet: packet.leader_beacon is None)
+        return self._first(lambda packet: packet.leader.beacon is None)
 
     def led_s(self, by: int) -> dict[int, float]:
-        return self._first(lambda packet: packet.leader_beacon is not None and packet.leader_beacon.leader_id == by)
+        return self._first(lambda packet: packet.leader.beacon is not None and packet.leader.beacon.leader_id == by)
 
     def last(self) -> dict[int, Status]:
         return {status.vehicle_id: status for status in self.reports}
