@@ -57,7 +57,7 @@ class Recorder(FlightWatch):
 
     def __init__(self, lockstep: Lockstep, scenario: Scenario) -> None:
         super().__init__(ids_of(scenario), [1], 0.0)
-        self.statuses: list[Status] = []
+        self.received: list[Status] = []
         self.followed: dict[int, list[Row]] = {i: [] for i in ids_of(scenario)}
         for stand_in in lockstep.stand_ins:
             self._follow(stand_in)
@@ -65,7 +65,7 @@ class Recorder(FlightWatch):
     def receive(self, report: StatusReport, now_s: float) -> None:
         super().receive(report, now_s)
         if report.status.phase is FlightPhase.FORMATION:
-            self.statuses.append(report.status)
+            self.received.append(report.status)
 
     def _follow(self, stand_in):  # type: ignore[no-untyped-def]
         record, autopilot, rows = stand_in.record, stand_in.autopilot, self.followed[stand_in.vehicle_id]
@@ -170,7 +170,7 @@ def test_steady_wind_leaves_no_error_with_ardupilot() -> None:
     copters = ("stand_in.autopilot=ardupilot", "stand_in.airframe.hover_thrust_norm=0.49", "timeline[1].timeout_s=60")
     flight = flown("platoon_wind", THEN_HOLD, *copters, assuming(LOW), CALM)
     assert flight.errors_m(from_s=10.0).max() < 0.01
-    assert flight.watch.statuses[-1].hover_thrust_norm == pytest.approx(TRUE_HOVER, rel=0.01)
+    assert flight.watch.received[-1].hover_thrust_norm == pytest.approx(TRUE_HOVER, rel=0.01)
 
 
 def test_wind_displaces_the_formation_without_the_observer() -> None:
@@ -181,7 +181,7 @@ def test_wind_displaces_the_formation_without_the_observer() -> None:
 
 @pytest.mark.parametrize("assumed", [LOW, HIGH])
 def test_the_status_reports_hover_thrust_and_wind(assumed: float) -> None:
-    status = windy(assumed, CALM).watch.statuses[-1]
+    status = windy(assumed, CALM).watch.received[-1]
     assert status.hover_thrust_norm == pytest.approx(TRUE_HOVER, rel=0.01)
     assert status.disturbance_enu_m_s2 == pytest.approx((0.25 * 6.5, 0.25 * 4.7, 0.0), abs=0.02)
 
