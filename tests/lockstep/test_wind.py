@@ -74,7 +74,7 @@ class Recorder(FlightWatch):
             record(now_s)
             roll, pitch, _ = autopilot.wanted_euler_rad()
             thrust, quad = autopilot.setpoint.thrust_norm, autopilot.quad
-            mode, z = autopilot.flight_mode, quad.position_enu_m[2]
+            mode, z = autopilot.mode, quad.position_enu_m[2]
             rows.append(Row(now_s, mode, roll, pitch, thrust, quad.rates_rad_s, z))
 
         stand_in.record = recorded
