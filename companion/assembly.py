@@ -99,7 +99,7 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
         dispatcher=CommandDispatcher(checks),
         setpoint=_setpoint(config, SetpointStream(envelope, observer), limit_of(Code.POSITION_STALE)),
         distant_peers=_distant_peers(fleet, member.id) if fleet.has_distant_peers else None,
-        report=ReportStage(identity, law_of(law), checks),
+        reporter=ReportStage(identity, law_of(law), checks),
     )
 
 

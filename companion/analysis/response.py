@@ -119,10 +119,11 @@ class Chain:
     def responses(self, rate_rad_s: float) -> dict[int, complex]:
         """x_i/r of each vehicle at this rate."""
         if (known := self._known.get(rate_rad_s)) is None:
-            known = self._known[rate_rad_s] = self._responses(rate_rad_s)
+            known = self._known[rate_rad_s] = self.solve(rate_rad_s)
         return known
 
-    def _responses(self, rate_rad_s: float) -> dict[int, complex]:
+    def solve(self, rate_rad_s: float) -> dict[int, complex]:
+        """The responses from the linear equations of the formation, whose size the cost of a new rate comes from."""
         s = 1j * rate_rad_s
         gains, g = self.law.gains, self.law.feedforward
         plant, follow = s * s + self.drag_1_s * s, exp(-s * MODEL.delay_s) / (1.0 + s * MODEL.attitude_lag_s)

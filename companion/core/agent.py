@@ -36,20 +36,20 @@ class Agent:
         dispatcher: CommandDispatcher,
         setpoint: SetpointStage,
         distant_peers: DistantPeers | None,
-        report: ReportStage,
+        reporter: ReportStage,
     ) -> None:
         self._vehicle_id = vehicle_id
-        self._perception = perception
-        self._preflight = preflight
-        self._phases = phases
-        self._arbitration = arbitration
-        self._consensus = consensus
-        self._guidance = guidance
-        self._safeguard = safeguard
-        self._dispatcher = dispatcher
-        self._setpoint = setpoint
-        self._distant_peers = distant_peers
-        self._report = report
+        self.perception = perception
+        self.preflight = preflight
+        self.phases = phases
+        self.arbitration = arbitration
+        self.consensus = consensus
+        self.guidance = guidance
+        self.safeguard = safeguard
+        self.dispatcher = dispatcher
+        self.setpoint = setpoint
+        self.distant_peers = distant_peers
+        self.reporter = reporter
         # Results of the last tick that stages of this one need
         self._flight = Flight()
         self._last_guidance = Guidance()
@@ -69,7 +69,7 @@ class Agent:
 
     def reject(self, reason: str) -> None:
         """Count a message that was refused before it came here."""
-        self._report.refuse(reason)
+        self.reporter.refuse(reason)
 
     def step(self, now_s: float, inbox: Inbox) -> Outbox:
         """One tick: the decision, then the reports."""
@@ -78,18 +78,18 @@ class Agent:
     def decide(self, now_s: float, inbox: Inbox) -> Decision:
         """Telemetry -> state -> peers, PrC and weights -> acceleration -> attitude -> output limits."""
         last, last_guidance = self._flight, self._last_guidance
-        perception = self._perception.step(now_s, inbox.telemetry, last)
+        perception = self.perception.step(now_s, inbox.telemetry, last)
         vehicle = perception.vehicle
-        fitness = self._preflight.step(now_s, inbox.telemetry, vehicle.autopilot)
-        before = self._phases.observe(now_s, vehicle)
-        intake = self._arbitration.step(inbox.commands) if inbox.commands else self._arbitration.idle
+        fitness = self.preflight.step(now_s, inbox.telemetry, vehicle.autopilot)
+        before = self.phases.observe(now_s, vehicle)
+        intake = self.arbitration.step(inbox.commands) if inbox.commands else self.arbitration.idle
         refusal_to_lead = last_guidance.refusal_to_lead
         fit_to_lead = last.phase is FORMATION and self._last_safety.action <= WARN and refusal_to_lead is None
-        consensus = self._consensus.step(
+        consensus = self.consensus.step(
             now_s, vehicle, before, inbox.peers, intake.admitted, refusal_to_lead, fit_to_lead, self._distant
         )
-        guidance = self._guidance.step(now_s, vehicle, before, consensus, intake.admitted, inbox.targets)
-        safety = self._safeguard.step(
+        guidance = self.guidance.step(now_s, vehicle, before, consensus, intake.admitted, inbox.targets)
+        safety = self.safeguard.step(
             now_s,
             vehicle,
             before,
@@ -101,17 +101,15 @@ class Agent:
         )
         commands: tuple[PhaseCommand, ...] = ()
         if intake.admitted:
-            commands = self._dispatcher.step(intake, vehicle, fitness, consensus, guidance, safety)
-        flight = self._phases.step(
-            now_s, vehicle, before, inbox.telemetry, guidance.requests, commands, safety.requests
-        )
-        parameter_requests = self._preflight.ask(now_s, flight.streams)
-        setpoint = self._setpoint.step(now_s, vehicle, before, flight, consensus, guidance, safety, inbox.traffic)
+            commands = self.dispatcher.step(intake, vehicle, fitness, consensus, guidance, safety)
+        flight = self.phases.step(now_s, vehicle, before, inbox.telemetry, guidance.requests, commands, safety.requests)
+        parameter_requests = self.preflight.ask(now_s, flight.streams)
+        setpoint = self.setpoint.step(now_s, vehicle, before, flight, consensus, guidance, safety, inbox.traffic)
         self._flight, self._last_guidance, self._last_safety = flight, guidance, safety
         self._last_setpoint_s, self._last_separation = setpoint.sent_s, setpoint.separation
-        if self._distant_peers is not None:
+        if self.distant_peers is not None:
             hears_leader, ids = consensus.lead.beacon is not None, consensus.neighbours.ids
-            self._distant = self._distant_peers.step(
+            self._distant = self.distant_peers.step(
                 now_s, vehicle, flight, guidance.slot, hears_leader, ids, consensus.peers.known
             )
         requests = perception.requests + flight.requests + parameter_requests
@@ -132,14 +130,14 @@ class Agent:
     def report(self, decided: Decision) -> Outbox:
         """Peer packet, status, replies and events of the decision, with its setpoint and requests."""
         intake, consensus, guidance, flight = decided.intake, decided.consensus, decided.guidance, decided.flight
-        report = self._report.step(decided)
+        report = self.reporter.step(decided)
         answers = consensus.answers + guidance.answers + flight.answers
         return Outbox(
             attitude_target=decided.setpoint.target,
             requests=decided.requests,
             peer_packet=report.peer_packet,
             status=report.status,
-            replies=self._arbitration.replies(self._vehicle_id, intake, answers) if intake.received or answers else (),
+            replies=self.arbitration.replies(self._vehicle_id, intake, answers) if intake.received or answers else (),
             events=report.events,
             distant_ids=tuple(sorted(decided.distant)) if decided.distant else (),
         )

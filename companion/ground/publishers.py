@@ -38,7 +38,7 @@ class TargetPublisher(GroundConnection):
         """The present velocity and position in the fleet frame; without a position, as of a joystick, the velocity alone."""
         self._published += 1
         sample = TargetSample(self._number, self._published, time.monotonic(), velocity_enu_m_s, position_enu_m)
-        self._session.put(self._key, encode(sample), congestion_control=zenoh.CongestionControl.DROP, express=True)
+        self.session.put(self._key, encode(sample), congestion_control=zenoh.CongestionControl.DROP, express=True)
 
 
 class TrafficPublisher(GroundConnection):
@@ -58,7 +58,7 @@ class TrafficPublisher(GroundConnection):
     ) -> None:
         """A position in the fleet frame, `age_s` old. `name`: letters, digits, _ and -, such as an ICAO address."""
         sample = TrafficSample(position_enu_m, velocity_enu_m_s, age_s, error_m)
-        self._session.put(
+        self.session.put(
             traffic_key(self._fleet, self._source, name),
             encode(sample),
             congestion_control=zenoh.CongestionControl.DROP,

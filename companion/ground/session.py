@@ -35,11 +35,11 @@ class GroundConnection:
     """
 
     def __init__(self, connect: Sequence[str], identity: Identity | None = None) -> None:
-        self._session = open_session(listen=(), connect=connect, identity=identity)
+        self.session = open_session(listen=(), connect=connect, identity=identity)
 
     def close(self) -> None:
         """End the session; without this a process may hang at its exit."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        self.session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:
         return self
@@ -87,8 +87,8 @@ class FleetSession(GroundConnection):
         self.fleet = fleet
         self.operator = identity.common_name if identity else operator or operator_here()
         self.rejected: Counter[str] = Counter()
-        self._reports = self._session.declare_subscriber(status, zenoh.handlers.RingChannel(REPORTS_KEPT))
-        self._replies = self._session.declare_subscriber(reply, zenoh.handlers.RingChannel(REPLIES_KEPT))
+        self._reports = self.session.declare_subscriber(status, zenoh.handlers.RingChannel(REPORTS_KEPT))
+        self._replies = self.session.declare_subscriber(reply, zenoh.handlers.RingChannel(REPLIES_KEPT))
         self._lock = threading.Lock()  # of all below
         self._undrained: deque[StatusReport] = deque(maxlen=REPORTS_KEPT)
         self._undrained_replies: deque[tuple[str, CommandReply]] = deque(maxlen=REPLIES_KEPT)
@@ -237,7 +237,7 @@ class FleetSession(GroundConnection):
 
     def _send(self, vehicle_id: int, command: Command) -> None:
         key = abort_key if command.name is CommandName.ABORT else command_key
-        self._session.put(
+        self.session.put(
             key(self.fleet, vehicle_id, self.operator),
             encode(command),
             congestion_control=zenoh.CongestionControl.DROP,
@@ -247,7 +247,7 @@ class FleetSession(GroundConnection):
 
     def send_admission_list(self, data: bytes) -> None:
         """To all vehicles; they verify it."""
-        self._session.put(
+        self.session.put(
             admission_key(self.fleet, self.operator), data, congestion_control=zenoh.CongestionControl.DROP
         )
 
@@ -270,4 +270,4 @@ class FleetSession(GroundConnection):
 
     def linked(self) -> list[str]:
         """Remote endpoints that this session has a link to, like tcp/192.168.1.11:7447."""
-        return [str(link.dst) for link in self._session.info.links()]
+        return [str(link.dst) for link in self.session.info.links()]

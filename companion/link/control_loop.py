@@ -67,13 +67,13 @@ class ControlLoop:
         self._autopilot = autopilot
         self._peers = peers
         self._trigger = trigger
-        self._notifier = notifier
+        self.notifier = notifier
         self._recorder = recorder
-        self._meter = TickMeter(time.monotonic())
-        self._late = LateLoopLog()
-        self._rejections = RejectionLog()
-        self._events = AgentEventLog()
-        self._response = FailureResponse()
+        self.meter = TickMeter(time.monotonic())
+        self.late = LateLoopLog()
+        self.rejections = RejectionLog()
+        self.events = AgentEventLog()
+        self.response = FailureResponse()
         self._stop_asked_s: float | None = None
         self._failure: BaseException | None = None
         self._last_report: StatusReport | None = None
@@ -89,21 +89,21 @@ class ControlLoop:
         began_s, due_s = time.monotonic(), self._due_s
         inbox = self._inbox(now_s)
         self._begun = (now_s, inbox)
-        self._response.receive(inbox.telemetry)
+        self.response.receive(inbox.telemetry)
         decision = self._agent.decide(now_s, inbox)
         latency_us = self._send(now_s, inbox.telemetry, decision)
         sent_s = time.monotonic()
-        self._late.cycle(due_s, now_s)
-        self._meter.tick(now_s)
+        self.late.cycle(due_s, now_s)
+        self.meter.tick(now_s)
         outbox = round_outbox(self._agent.report(decision))
         report = self._publish(now_s, outbox)
-        self._notifier.complete_cycle(now_s, self._autopilot.is_connected and self._peers.is_open)
+        self.notifier.complete_cycle(now_s, self._autopilot.is_connected and self._peers.is_open)
         late_s, self._ticked_s = max(0.0, now_s - self._ticked_s - PERIOD_S), now_s
         if self._recorder:
             decide_us, whole_us = _us(sent_s - began_s), _us(time.monotonic() - began_s)
             timing = TimingRecord(now_s, _us(late_s), decide_us, whole_us, latency_us)
             if notice := self._recorder.tick(now_s, inbox, decision, outbox, report, timing):
-                self._events.log(notice, now_s)
+                self.events.log(notice, now_s)
         self._begun = None
 
     def _inbox(self, now_s: float) -> Inbox:
@@ -119,7 +119,7 @@ class ControlLoop:
         """
         latency_us, wanted = None, decision.setpoint.target
         target = round_target(wanted) if wanted else None
-        self._response.sent(decision.flight, target, decision.setpoint.hover_thrust_norm)
+        self.response.sent(decision.flight, target, decision.setpoint.hover_thrust_norm)
         if target:
             self._autopilot.command(target, now_s)
             latency_us = self._measure_command(telemetry)
@@ -129,21 +129,21 @@ class ControlLoop:
     def _publish(self, now_s: float, outbox: Outbox) -> StatusReport | None:
         """Returns the report where one is published."""
         self._peers.reply(outbox.replies)
-        self._response.publishes(outbox.peer_packet)
+        self.response.publishes(outbox.peer_packet)
         if outbox.peer_packet:
             self._peers.publish_peer(outbox.peer_packet)
         self._peers.set_low_rate_peers(outbox.distant_ids)
-        self._meter.phase_after_tick(self._agent.phase, now_s)
+        self.meter.phase_after_tick(self._agent.phase, now_s)
         report = None
         if outbox.status:
             recording = self._recorder.state if self._recorder else RecordingState()
             status = replace(outbox.status, network=self._peers.network, recording=recording)
-            report = self._last_report = StatusReport(status, self._meter.timing(now_s))
+            report = self._last_report = StatusReport(status, self.meter.timing(now_s))
             self._peers.publish_status(report)
-            self._notifier.status(status_line(outbox.status))
-            self._rejections.update(outbox.status.rejected, now_s)
+            self.notifier.status(status_line(outbox.status))
+            self.rejections.update(outbox.status.rejected, now_s)
         for event in outbox.events:
-            self._events.log(event, now_s)
+            self.events.log(event, now_s)
         return report
 
     def _measure_command(self, telemetry: Sequence[Telemetry]) -> int | None:
@@ -152,7 +152,7 @@ class ControlLoop:
         if not arrivals_s:
             return None
         sent_s = time.monotonic()
-        self._meter.add_command(arrivals_s[-1], sent_s)
+        self.meter.add_command(arrivals_s[-1], sent_s)
         return _us(sent_s - arrivals_s[-1])
 
     # ------------------------------------------------------------ after a failure
@@ -163,7 +163,7 @@ class ControlLoop:
         ended = self.hand_over(now_s)
         notice = Notice(Code.AGENT_FAILED, f"{type(error).__name__}: {error}")
         _log.critical("%s in phase %s", notice, self._agent.phase, exc_info=error, extra=field_of(notice.code))
-        _attempt(lambda: self._notifier.status(str(notice)))
+        _attempt(lambda: self.notifier.status(str(notice)))
         if self._recorder:
             self._recorder.failure(now_s, notice, self._begun)
         if self._last_report:
@@ -176,8 +176,8 @@ class ControlLoop:
 
         Each action is attempted for itself: a link that cannot send setpoints may still send the request.
         """
-        _attempt(lambda: self._response.receive(self._autopilot.drain()))
-        response = self._response.step(now_s)
+        _attempt(lambda: self.response.receive(self._autopilot.drain()))
+        response = self.response.step(now_s)
         if response.target:
             target = response.target
             _attempt(lambda: self._autopilot.command(target, now_s))
@@ -189,7 +189,7 @@ class ControlLoop:
 
     def _publish_released(self, now_s: float) -> None:
         """A packet in phase release, so that the peers know that the vehicle brakes."""
-        if packet := self._response.packet(now_s):
+        if packet := self.response.packet(now_s):
             self._peers.publish_peer(packet)
 
     # ------------------------------------------------------------ the loop
@@ -214,7 +214,7 @@ class ControlLoop:
                 task.cancel()
         if self._failure:
             raise AgentFailedError(f"ends after a defect: {type(self._failure).__name__}: {self._failure}")
-        self._notifier.stopping()
+        self.notifier.stopping()
         _log.info("ends in phase %s", self._agent.phase)
         return self._stop_asked_s is not None
 

@@ -189,8 +189,8 @@ class Clients:
         self._clients: set[_Client] = set()
 
     @property
-    def is_full(self) -> bool:
-        return len(self._clients) >= MOST_CLIENTS
+    def count(self) -> int:
+        return len(self._clients)
 
     def publish(self, snapshot: bytes) -> None:
         """The same bytes to all. A client that still sends an older snapshot gets this one, or a newer one, after it."""

@@ -89,7 +89,7 @@ class Site:
     async def _live(self, request: web.Request) -> web.StreamResponse:
         if not web.WebSocketResponse().can_prepare(request):
             return error(426, "expected a WebSocket; GET /api/v1/snapshot gives one snapshot")
-        if self.clients.is_full:
+        if self.clients.count >= MOST_CLIENTS:
             return error(503, f"{MOST_CLIENTS} clients are connected already; close one of them")
         return await self.clients.serve(request, self._encoded, self._station.act)
 

@@ -70,7 +70,7 @@ class Station:
             self.read()
             step += 1
             if step % STEPS_PER_SNAPSHOT == 0:
-                self._publish()
+                self.renew()
             due_s = max(due_s + PERIOD_S, loop.time() - FAR_BEHIND_S)
             await asyncio.sleep(max(0.0, due_s - loop.time()))
 
@@ -106,7 +106,8 @@ class Station:
             self._snapshot(source.moment())
         source.go_on(end_s)
 
-    def _publish(self) -> None:
+    def renew(self) -> None:
+        """Take and publish the snapshot of this moment."""
         self.newest = self._snapshot(self._source.moment())
         events = self._picture.events
         new = events.after(self._published_event)

@@ -35,7 +35,7 @@ MOST_CELLS = 16  # vehicles in the table of shares
 
 def draw_tracks(flight: FlightRecords, pairs: Sequence[PairDistance]) -> DrawnFigure:
     """Tracks of all vehicles, with the place where two came nearest."""
-    x_range, y_range = _view(flight)
+    x_range, y_range = view(flight)
     figure = new_figure(_height_in(x_range, y_range))
     axes = figure.subplots()
     for vehicle in flight.vehicles:
@@ -53,7 +53,7 @@ def draw_tracks(flight: FlightRecords, pairs: Sequence[PairDistance]) -> DrawnFi
     return render(figure, "tracks", "Tracks from above", caption)
 
 
-def _view(flight: FlightRecords) -> tuple[Range, Range]:
+def view(flight: FlightRecords) -> tuple[Range, Range]:
     """What the tracks cover, with a margin: a far fence does not make them small."""
     tracks_m = [vehicle.ticks.position_enu_m[vehicle.ticks.located, :2] for vehicle in flight.vehicles]
     positions = [track_m for track_m in tracks_m if track_m.size]

@@ -155,11 +155,11 @@ class DoctorSession:
         """Opens the link. Raises ConfigError."""
         self.config = config
         self._survey = Survey()
-        self._tracker = tracker_of(config.fleet)
+        self.tracker = tracker_of(config.fleet)
         self._limits = output_limits_of(config.fleet)
         self.bench = Bench(file, config)
         self._link = self.bench.link
-        self._parameters: Parameters | None = None  # once it answers
+        self.parameters: Parameters | None = None  # once it answers
         self._ask_origin_s = float("-inf")
 
     def jobs(self) -> tuple[Coroutine[None, None, None], ...]:
@@ -170,7 +170,7 @@ class DoctorSession:
         while True:
             await asyncio.sleep(LISTEN_PERIOD_S)
             telemetry = self._link.drain()
-            self._tracker.fold(telemetry)
+            self.tracker.fold(telemetry)
             self._survey.update(time.monotonic(), telemetry)
             if self._link.is_connected and time.monotonic() > self._ask_origin_s:
                 self._link.request([RequestOrigin()])
@@ -181,7 +181,7 @@ class DoctorSession:
         system = await self.bench.system(wait_s)
         if system is None:
             return False
-        self._parameters = Parameters(system)
+        self.parameters = Parameters(system)
         await asyncio.sleep(SETTLE_S)
         return True
 
@@ -189,13 +189,13 @@ class DoctorSession:
         """Listen for one window, read the parameters, audit."""
         self._survey = Survey()
         await asyncio.sleep(WINDOW_S + 2 * LISTEN_PERIOD_S)
-        vehicle, survey, config = self._tracker.state, self._survey, self.config
+        vehicle, survey, config = self.tracker.state, self._survey, self.config
         assert vehicle.autopilot is not None  # it answers
-        assert self._parameters is not None
+        assert self.parameters is not None
         rules = PROFILES[vehicle.autopilot].parameters
         facts = Facts(
             rules=rules,
-            parameters=await self._parameters.read_all(rule.name for rule in rules),
+            parameters=await self.parameters.read_all(rule.name for rule in rules),
             hover_thrust_norm=config.vehicle.hover_thrust_norm,
             rates_hz=survey.rates_hz,
             failing_checks=None if vehicle.armed else survey.failing_checks,
@@ -212,11 +212,11 @@ class DoctorSession:
     async def fix(self, finding: AuditFinding) -> Change:
         """Set the safe value of a finding; not while the vehicle is armed."""
         assert finding.fix is not None
-        assert self._parameters is not None
-        failure = "armed; land and disarm first" if self._tracker.state.armed else ""
+        assert self.parameters is not None
+        failure = "armed; land and disarm first" if self.tracker.state.armed else ""
         if not failure:
             try:
-                await self._parameters.set(finding.subject, finding.fix)
+                await self.parameters.set(finding.subject, finding.fix)
             except ParameterError as error:
                 failure = str(error)
         return Change(finding.subject, finding.found, finding.fix, failure)
@@ -229,6 +229,6 @@ class DoctorSession:
         return PositionCheck.UNKNOWN if vehicle.frame_known else PositionCheck.NO_ORIGIN
 
     def close(self) -> None:
-        if self._parameters:
-            self._parameters.close()
+        if self.parameters:
+            self.parameters.close()
         self.bench.close()

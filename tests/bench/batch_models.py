@@ -82,7 +82,7 @@ def main() -> int:
     if options.json:
         print(json.dumps({name: [rate * count for rate in rates] for name, rates in rates_1_s.items()}))
     else:
-        print(_table(count, {name: max(rates) for name, rates in rates_1_s.items()}))
+        print(table(count, {name: max(rates) for name, rates in rates_1_s.items()}))
     return 0
 
 
@@ -105,7 +105,7 @@ def _rate_1_s(step: Callable[[], None]) -> float:
     return steps / elapsed_s
 
 
-def _table(count: int, rates_1_s: dict[str, float]) -> str:
+def table(count: int, rates_1_s: dict[str, float]) -> str:
     """Our models beside RotorPy's with the same integrator; RotorPy is fastest without drag."""
     lines = [f"{count} vehicles, one core, steps of 4 ms; million vehicle-steps per second"]
     lines += [f"  {name:26} {rate * count / 1e6:8.3f}" for name, rate in rates_1_s.items()]

@@ -35,5 +35,5 @@ def test_ratios_compare_models_with_the_same_integrator() -> None:
         "RotorPy, RK4, no drag": 150.0,
         "RotorPy, RK4": 100.0,
     }
-    ratios = [line.split()[-1] for line in batch_models._table(1000, rates).split("ratio\n")[1].splitlines()]
+    ratios = [line.split()[-1] for line in batch_models.table(1000, rates).split("ratio\n")[1].splitlines()]
     assert ratios == ["30.0", "45.0", "20.0", "30.0", "10.0"]

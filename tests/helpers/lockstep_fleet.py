@@ -147,7 +147,7 @@ class Decisions:
     """All decisions of the agents from now on."""
 
     def __init__(self, lockstep: Lockstep) -> None:
-        self._of = {vehicle_id: _record(vehicle.agent) for vehicle_id, vehicle in lockstep.vehicles.items()}
+        self.of_vehicle = {vehicle_id: _record(vehicle.agent) for vehicle_id, vehicle in lockstep.vehicles.items()}
 
     def jump_m(self, from_s: float = -inf) -> float:
         """The largest jump of a slot, or of the reference of a vehicle that goes on leading, from one tick to the next."""
@@ -170,7 +170,7 @@ class Decisions:
 
     def _in_formation(self, from_s: float, until_s: float = inf) -> Iterator[tuple[Decision, Decision]]:
         """The decisions of two ticks, one after the other, of each vehicle."""
-        for decisions in self._of.values():
+        for decisions in self.of_vehicle.values():
             for a, b in pairwise(decisions):
                 if a.flight.phase is b.flight.phase is IN_FORMATION and a.now_s >= from_s and b.now_s <= until_s:
                     yield a, b

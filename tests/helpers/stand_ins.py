@@ -56,7 +56,7 @@ class Px4OnBytes:
 
     def send(self, message: MavlinkMessage, sender: tuple[int, int] = (255, 190)) -> list[MavlinkMessage]:
         """The answers to one message."""
-        message._header.srcSystem, message._header.srcComponent = sender
+        message.pack(mavlink.MAVLink(None, *sender))  # sets its sender
         return list(self.receiver.receive(message))
 
     def command(self, number: int, *parameters: float, target: tuple[int, int] = (1, 1)) -> list[MavlinkMessage]:

@@ -6,6 +6,7 @@ moves as it likes. The law obeys; the safety filter of each vehicle stops it.
 
 from __future__ import annotations
 
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -69,14 +70,18 @@ class Flight:
         assert self.fleet.accepted(CommandName.FORM)
         self.fleet.go_on(2.0)
         self.began_s = self.lockstep.now_s()
-        guidance = self.lockstep.vehicles[1].agent._guidance
-        assert guidance._references is not None
-        self.plan = guidance._references
 
     def lead_by(self, trajectory: ReferenceTrajectory) -> None:
-        """Fly this from now on, whatever lies in the way. Time 0 is now."""
-        begun_s = self.plan._agreement.reference_s
-        self.plan._flown = lambda reference_s: trajectory(max(0.0, reference_s - begun_s))
+        """Fly this from now on, whatever lies in the way. Time 0 is that of the next tick."""
+        begun_s, plan = inf, self.lockstep.vehicles[1].agent.guidance.references
+        assert plan is not None
+
+        def at(reference_s: float) -> FormationState:
+            nonlocal begun_s
+            begun_s = min(begun_s, reference_s)
+            return trajectory(reference_s - begun_s)
+
+        plan.at = at  # type: ignore[method-assign]
 
     def check(self) -> None:
         """All are in formation, apart from each other and clear of everything."""
@@ -85,9 +90,15 @@ class Flight:
         room_m = least_room_m(self.scenario, self.lockstep, self.began_s, self.lockstep.now_s() - 0.1)
         assert room_m > -INTO_CLEARANCE_M
 
+    def reference_enu_m(self) -> Vector3:
+        """The reference in the leader's newest report."""
+        reference_enu_m = self.fleet.newest[1].reference_enu_m
+        assert reference_enu_m is not None
+        return reference_enu_m
+
     def reference_room_m(self) -> float:
         """That of the leader's slot, which the reference asks for now."""
-        x, y, z = self.plan.at(self.plan._agreement.reference_s).position_enu_m
+        x, y, z = self.reference_enu_m()
         return self.scenario.fleet.airspace.room_m((x + 1.5, y + 1.5, z))
 
 
@@ -195,7 +206,6 @@ def test_a_target_that_walks_out_of_the_airspace_is_awaited_before_it(
     reference = "{kind: target, name: walker, start_enu_m: [0.0, 0.0, 4.0], max_speed_m_s: 3.5}"
     flight = Flight(f"reference={reference}")
     walk(flight, target_enu_m, 12.0)
-    at = flight.plan.at(flight.plan._agreement.reference_s).position_enu_m
     assert flight.reference_room_m() > -0.01
-    assert reaches_enu_m is None or np.linalg.norm(np.subtract(at, reaches_enu_m)) < 0.1
+    assert reaches_enu_m is None or np.linalg.norm(np.subtract(flight.reference_enu_m(), reaches_enu_m)) < 0.1
     flight.check()

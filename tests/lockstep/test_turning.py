@@ -16,7 +16,7 @@ from companion.geometry.formations import turn_limits
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
-from lockstep_fleet import JUMP_M, CommandedFlight, Decisions, Recorder, record_at_setpoints
+from lockstep_fleet import JUMP_M, CommandedFlight, Decisions, Recorder
 from sitl.flight.director import Director
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import load_scenario, reference_of
@@ -36,8 +36,6 @@ class Flown:
     def __init__(self, file: str, *overrides: str) -> None:
         self.scenario = load_scenario(SCENARIOS / file, overrides)
         lockstep, self.watch = Lockstep(self.scenario), Recorder(self.scenario)
-        agents = {vehicle_id: vehicle.agent for vehicle_id, vehicle in lockstep.vehicles.items()}
-        self.headings = record_at_setpoints(lockstep, lambda vehicle_id, _: agents[vehicle_id]._last_guidance.heading)
         self.decisions = Decisions(lockstep)
         director = Director(lockstep, self.watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
         self.failures = director.fly_and_land(self.scenario.timeline)
@@ -114,8 +112,9 @@ def test_slots_references_and_heading_have_no_step_at_leader_changes(late: tuple
     flight = flown(RING, *COURSE, *late)
     assert flight.decisions.jump_m() < JUMP_M
     most_rad_s2 = turn_limits(sqrt(2.0), flight.scenario.fleet.slot_speed_m_s).acceleration_rad_s2
-    for recorded in flight.headings.values():
-        in_formation = [(at_s, heading) for at_s, heading in recorded if at_s < flight.formation.end_s]
+    for decisions in flight.decisions.of_vehicle.values():
+        sent = [decided for decided in decisions if decided.setpoint.target]
+        in_formation = [(d.now_s, d.guidance.heading) for d in sent if d.now_s < flight.formation.end_s]
         for (a_s, a), (b_s, b) in pairwise(in_formation):
             assert remainder(b.angle_rad - a.angle_rad - a.rate_rad_s * (b_s - a_s), tau) == pytest.approx(
                 0.0, abs=1e-3

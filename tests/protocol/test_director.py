@@ -72,8 +72,8 @@ def test_a_take_off_that_ends_in_observe_ends_the_flight(flight: DirectedFlight)
 
 def test_the_flight_ends_with_a_landing_when_a_pilot_takes_over_in_formation(flight: DirectedFlight) -> None:
     flight.fly(C.PREPARE, C.ARM, C.TAKEOFF)
-    flight.director._check = lambda: (
-        flight.vehicles.change(  # type: ignore[method-assign]
+    flight.check = lambda: (  # type: ignore[method-assign]
+        flight.vehicles.change(
             2,
             phase=P.OBSERVE,
             last_event=event_of("formation -> observe (mode POSCTL was set by someone else)"),
@@ -152,7 +152,7 @@ def test_the_flight_ends_when_another_vehicle_leaves_its_phase(flight: DirectedF
         if flight.vehicles.received[-1] == (C.HOLD, (2,)):
             flight.vehicles.change(1, phase=P.HOLD, last_event=event_of("formation -> release (no leader beacon)"))
 
-    flight.director._check = falls_out  # type: ignore[method-assign]
+    flight.check = falls_out  # type: ignore[method-assign]
     with pytest.raises(FlightFailure, match="vehicle 1 left phase formation"):
         flight.director.fly([form, leave])
 
@@ -219,7 +219,7 @@ def test_the_flight_ends_when_a_vehicle_leaves_formation_after_a_leader_change(f
         if vehicles.leads:
             vehicles.change(1, phase=P.HOLD, last_event=event_of("formation -> release (no leader beacon)"))
 
-    flight.director._check = falls_out  # type: ignore[method-assign]
+    flight.check = falls_out  # type: ignore[method-assign]
     with pytest.raises(FlightFailure, match="vehicle 1 left phase formation: PHASE_CHANGED: formation -> release"):
         flight.director.fly([form, lead_step(2, for_s=1.0)])
 

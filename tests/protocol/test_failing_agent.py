@@ -41,7 +41,7 @@ def test_a_failing_stage_ends_in_hold_and_a_restarted_agent_observes(
         vehicle.form()
         assert not vehicle.tap.setpoints[-1].is_level
         with GroundConnection((vehicle.files.zenoh,)) as connection:
-            packets = connection._session.declare_subscriber(PEER_KEY, zenoh.handlers.RingChannel(PACKETS_KEPT))
+            packets = connection.session.declare_subscriber(PEER_KEY, zenoh.handlers.RingChannel(PACKETS_KEPT))
             until(packets.try_recv)
             switch.touch()
             failed_s = time.monotonic()

@@ -219,12 +219,12 @@ def test_a_client_that_reads_nothing_does_not_block_a_change_of_rates(endpoint: 
     link = ZenohLink(1, large, ZenohEndpoints(listen=(endpoint,)), lambda _reason: None)
     with closing(link), deaf_client(endpoint, DEAF_LISTENER):
         until_s = time.monotonic() + 30.0
-        while not link._session.info.peers_zid() and time.monotonic() < until_s:
+        while not link.session.info.peers_zid() and time.monotonic() < until_s:
             time.sleep(PERIOD_S)
-        assert link._session.info.peers_zid()
+        assert link.session.info.peers_zid()
         until_s = time.monotonic() + FILLS_WITHIN_S
         while time.monotonic() < until_s:  # the buffers of both computers' connections
-            link._session.put(peer_key(FLEET.name, 1), bytes(60_000), congestion_control=zenoh.CongestionControl.DROP)
+            link.session.put(peer_key(FLEET.name, 1), bytes(60_000), congestion_control=zenoh.CongestionControl.DROP)
         worst_s = 0.0
         for change in range(CHANGES):
             distant = others if change % 2 == 0 else frozenset[int]()
@@ -233,7 +233,7 @@ def test_a_client_that_reads_nothing_does_not_block_a_change_of_rates(endpoint: 
                 link.set_low_rate_peers(distant)
                 worst_s = max(worst_s, time.monotonic() - start_s)
         until_s = time.monotonic() + CLOSED_WITHIN_S
-        while (connected := bool(link._session.info.peers_zid())) and time.monotonic() < until_s:
+        while (connected := bool(link.session.info.peers_zid())) and time.monotonic() < until_s:
             time.sleep(PERIOD_S)
     print(f"\nlongest call {worst_s * 1000:.1f} ms, the client is {'still' if connected else 'no longer'} connected")
     assert worst_s < BLOCKED_S

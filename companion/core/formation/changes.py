@@ -72,7 +72,7 @@ class Changes:
         self._references = references
         self._gap_filling = gap_filling
         self._refused_number: int | None = None  # of the last refused change of a leader, which is reported once
-        self._checks = PacedChecks(STEPS_PER_TICK)
+        self.checks = PacedChecks(STEPS_PER_TICK)
         self._queue: list[Command] = []  # to be judged, one in a tick
         self._heard: tuple[int, FormationChange] | None = None  # the leader and its change that is being checked
         self._last_heard_id = 0  # the leader whose change was judged last
@@ -86,7 +86,7 @@ class Changes:
 
         The answer to a command may come ticks later.
         """
-        self._checks.begin_tick()
+        self.checks.begin_tick()
         answers = []
         for command in commands:
             if not isinstance(command.content, FormationChange | ReferenceChange):
@@ -104,7 +104,7 @@ class Changes:
         if self._gap_filling:
             events += self._fill_gap(self._gap_filling, now)
         else:
-            self.is_idle = not self._queue and self._heard is None and self._checks.is_idle
+            self.is_idle = not self._queue and self._heard is None and self.checks.is_idle
         return Changed(tuple(answers), events)
 
     def _judge(self, content: Content | None, now: Situation) -> Answer:
@@ -116,7 +116,7 @@ class Changes:
     def _change_formation(self, change: FormationChange, now: Situation, is_command: bool = False) -> Answer:
         def check(airspace: Steps[Notice | None]) -> Notice | Pending | None:
             key = (change, flight.on_ground, flown_slots, self._references and self._references.flown_count)
-            return self._checks.ask(key, lambda: self._expensive_refusal(change, airspace, consensus))
+            return self.checks.ask(key, lambda: self._expensive_refusal(change, airspace, consensus))
 
         flight, consensus = now.flight, now.consensus
         flown_slots = tuple(sorted(self._slots.slots_enu_m.items()))
@@ -177,7 +177,7 @@ class Changes:
             consensus.peers.flying,
             now.fleet_enu_m,
             flight.in_formation,
-            self._checks,
+            self.checks,
         )
         if answer.notice.code is not Code.REFERENCE_ACCEPTED or flight.phase is not FORMATION:
             return answer

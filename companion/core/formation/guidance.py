@@ -72,9 +72,9 @@ class GuidanceStage:
     ) -> None:
         self._slots = slots
         self._heading = heading
-        self._references = references
+        self.references = references
         self._entry = entry
-        self._changes = Changes(own_id, slots, references, gap_filling)
+        self.changes = Changes(own_id, slots, references, gap_filling)
         self._slot = slots.flown
         self._formed: list[int] = []  # the peers in formation
 
@@ -92,12 +92,12 @@ class GuidanceStage:
         targets: Iterable[ReceivedTarget],
     ) -> Guidance:
         """Slot, heading and R of this tick, after the changes that commands and peers bring."""
-        slots, heading, references = self._slots, self._heading, self._references
+        slots, heading, references = self._slots, self._heading, self.references
         events = () if vehicle.armed else self._restart()
         changed = NOTHING_CHANGED
         passed_on = [peer for peer in consensus.peers.flying if peer.change is not None]
-        if commands or passed_on or not self._changes.is_idle:
-            changed = self._changes.step(Situation(now_s, vehicle, flight, consensus, self._slot), commands)
+        if commands or passed_on or not self.changes.is_idle:
+            changed = self.changes.step(Situation(now_s, vehicle, flight, consensus, self._slot), commands)
             events += changed.events
         reference_s, leads = consensus.lead.reference_s, consensus.lead.role is LEADER
         follows = flight.phase is FORMATION and not leads

@@ -214,7 +214,7 @@ class FormingTogether:
             if packet.phase in ON_GROUND or not packet.armed:
                 continue
             forms = packet.phase in forming
-            motion = self._forming(now_s, peer, frame, lasts_s) if forms else self._staying(now_s, peer, frame)
+            motion = self.peers_path(now_s, peer, frame, lasts_s) if forms else self._staying(now_s, peer, frame)
             level = packet.phase in VERTICAL or not self._slots_have_height
             longest_s = max(lasts_s, packet.slot.moves_for_s)
             apart_m = _distances_m(slot_m, delta, frame.slots_m[packet.sender.vehicle_id], motion, longest_s, level)
@@ -240,7 +240,7 @@ class FormingTogether:
     def _needed_s(self, distance_m: float) -> float:
         return max(SHORTEST_S, duration_s(distance_m, self._speed_m_s, SLOT_ACCELERATION_M_S2))
 
-    def _forming(self, now_s: float, peer: PeerState, frame: Frame, lasts_s: float) -> Curve:
+    def peers_path(self, now_s: float, peer: PeerState, frame: Frame, lasts_s: float) -> Curve:
         """Offset of a peer from its slot over time: the rest of its published path, or a path as long as the own one."""
         offset, slot = self._peer_offset(now_s, peer, frame), peer.packet.slot
         if not slot.moves:

@@ -98,14 +98,14 @@ class ZenohLink:
         self._early: list[ReceivedPeerPacket] = []  # for the next `receive`
         self._unanswered: dict[tuple[str, int], Command] = {}
         self._log = CommandLog()
-        self._session = open_session(endpoints.listen, endpoints.connect, identity)
+        self.session = open_session(endpoints.listen, endpoints.connect, identity)
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
             self._declare(vehicle_id, fleet)
             undo.pop_all()
 
     def _declare(self, vehicle_id: int, fleet: FleetConfig) -> None:
-        self._peers = PeerStates(self._session, vehicle_id, fleet, self._reject)
+        self._peers = PeerStates(self.session, vehicle_id, fleet, self._reject)
         may_lead = any(member.id == vehicle_id and member.can_lead for member in fleet.vehicles)
         self._targets = self._subscribe(target_key(fleet.name, ANY), TARGETS_KEPT) if may_lead else None
         self._traffic = self._subscribe(traffic_key(fleet.name, ANY, ANY), TRAFFIC_KEPT)
@@ -113,14 +113,14 @@ class ZenohLink:
         self._aborts = self._subscribe(abort_key(fleet.name, vehicle_id, ANY), ABORT_SAMPLES_KEPT)
         self._lists = self._subscribe(admission_key(fleet.name, ANY), LISTS_KEPT) if self._identity else None
         seal = self._datagrams.seal if self._datagrams else None
-        self._pairing = Pairing(self._session, fleet.name, vehicle_id, seal) if seal else None
-        self._reply_publisher = self._session.declare_publisher(
+        self._pairing = Pairing(self.session, fleet.name, vehicle_id, seal) if seal else None
+        self._reply_publisher = self.session.declare_publisher(
             reply_key(fleet.name, vehicle_id),
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.INTERACTIVE_HIGH,
             express=True,
         )
-        self._status_publisher = self._session.declare_publisher(
+        self._status_publisher = self.session.declare_publisher(
             status_key(fleet.name, vehicle_id),
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.DATA,
@@ -128,12 +128,12 @@ class ZenohLink:
 
     def _subscribe(self, key: str, kept: int) -> Any:
         """A subscriber whose channel keeps so many messages, the newest, until they are drained."""
-        return self._session.declare_subscriber(key, zenoh.handlers.RingChannel(kept))
+        return self.session.declare_subscriber(key, zenoh.handlers.RingChannel(kept))
 
     @property
     def is_open(self) -> bool:
         """Whether the session is open. It listens then; peers need not be connected: a lone vehicle is ready as well."""
-        return not self._session.is_closed()
+        return not self.session.is_closed()
 
     def receive_early(self, now_s: float) -> None:
         """Decode the peer packets that Zenoh has received by now: the next `receive` returns them too. Never blocks."""
@@ -218,7 +218,7 @@ class ZenohLink:
 
     def close(self) -> None:
         """Close the session. Zenoh may wait for a client that reads nothing; the process does not."""
-        closing = threading.Thread(target=self._session.close, name="closing", daemon=True)
+        closing = threading.Thread(target=self.session.close, name="closing", daemon=True)
         closing.start()
         closing.join(CLOSE_WITHIN_S)
 

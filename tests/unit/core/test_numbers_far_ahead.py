@@ -90,7 +90,9 @@ def test_a_reference_far_ahead_that_waits_at_one_vehicle_locks_nothing() -> None
     replies = fleet.command(C.REFERENCE, change)
     assert replies[1].accepted
     assert replies[WRONG].accepted
-    assert {fleet.agents[i]._guidance._references.held.waiting for i in (1, WRONG)} == {change.number}
+    ticks(fleet, 10)
+    held = [fleet.statuses[i].reference for i in (1, WRONG)]
+    assert [reference.waiting for reference in held if reference] == [change.number, change.number]
 
 
 @pytest.mark.parametrize("phase", [FlightPhase.OBSERVE, FlightPhase.HOLD, FlightPhase.FORMATION])

@@ -34,40 +34,40 @@ STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "targets received": lambda flight: (flight.peers, "targets"),
     "traffic received": lambda flight: (flight.peers, "traffic"),
     "telemetry drained": lambda flight: (flight.link, "drain"),
-    "response to a failure, its telemetry": lambda flight: (flight.loop._response, "receive"),
-    "perception": lambda flight: (flight.agent._perception, "step"),
-    "preflight": lambda flight: (flight.agent._preflight, "step"),
-    "phases, observed": lambda flight: (flight.agent._phases, "observe"),
-    "arbitration": lambda flight: (flight.agent._arbitration, "step"),
-    "consensus": lambda flight: (flight.agent._consensus, "step"),
-    "guidance": lambda flight: (flight.agent._guidance, "step"),
-    "safety": lambda flight: (flight.agent._safeguard, "step"),
-    "dispatcher": lambda flight: (flight.agent._dispatcher, "step"),
-    "phases": lambda flight: (flight.agent._phases, "step"),
-    "parameter requests": lambda flight: (flight.agent._preflight, "ask"),
-    "setpoint": lambda flight: (flight.agent._setpoint, "step"),
-    "distant peers": lambda flight: (flight.agent._distant_peers, "step"),
-    "response to a failure, its setpoint": lambda flight: (flight.loop._response, "sent"),
+    "response to a failure, its telemetry": lambda flight: (flight.loop.response, "receive"),
+    "perception": lambda flight: (flight.agent.perception, "step"),
+    "preflight": lambda flight: (flight.agent.preflight, "step"),
+    "phases, observed": lambda flight: (flight.agent.phases, "observe"),
+    "arbitration": lambda flight: (flight.agent.arbitration, "step"),
+    "consensus": lambda flight: (flight.agent.consensus, "step"),
+    "guidance": lambda flight: (flight.agent.guidance, "step"),
+    "safety": lambda flight: (flight.agent.safeguard, "step"),
+    "dispatcher": lambda flight: (flight.agent.dispatcher, "step"),
+    "phases": lambda flight: (flight.agent.phases, "step"),
+    "parameter requests": lambda flight: (flight.agent.preflight, "ask"),
+    "setpoint": lambda flight: (flight.agent.setpoint, "step"),
+    "distant peers": lambda flight: (flight.agent.distant_peers, "step"),
+    "response to a failure, its setpoint": lambda flight: (flight.loop.response, "sent"),
     "setpoint encoded": lambda flight: (flight.translator, "attitude_target"),
     "request encoded": lambda flight: (flight.translator, "request"),
     "setpoint sent": lambda flight: (flight.link, "command"),
-    "latency measured": lambda flight: (flight.loop._meter, "add_command"),
+    "latency measured": lambda flight: (flight.loop.meter, "add_command"),
     "request sent": lambda flight: (flight.link, "request"),
-    "late ticks logged": lambda flight: (flight.loop._late, "cycle"),
-    "tick measured": lambda flight: (flight.loop._meter, "tick"),
-    "report": lambda flight: (flight.agent._report, "step"),
-    "replies composed": lambda flight: (flight.agent._arbitration, "replies"),
+    "late ticks logged": lambda flight: (flight.loop.late, "cycle"),
+    "tick measured": lambda flight: (flight.loop.meter, "tick"),
+    "report": lambda flight: (flight.agent.reporter, "step"),
+    "replies composed": lambda flight: (flight.agent.arbitration, "replies"),
     "reply": lambda flight: (flight.peers, "reply"),
-    "response to a failure, its packet": lambda flight: (flight.loop._response, "publishes"),
+    "response to a failure, its packet": lambda flight: (flight.loop.response, "publishes"),
     "peer packet published": lambda flight: (flight.peers, "publish_peer"),
     "rates of the peers changed": lambda flight: (flight.peers, "set_low_rate_peers"),
-    "phase measured": lambda flight: (flight.loop._meter, "phase_after_tick"),
-    "timing reported": lambda flight: (flight.loop._meter, "timing"),
+    "phase measured": lambda flight: (flight.loop.meter, "phase_after_tick"),
+    "timing reported": lambda flight: (flight.loop.meter, "timing"),
     "status published": lambda flight: (flight.peers, "publish_status"),
-    "status line": lambda flight: (flight.loop._notifier, "status"),
-    "rejections logged": lambda flight: (flight.loop._rejections, "update"),
-    "event logged": lambda flight: (flight.loop._events, "log"),
-    "watchdog fed": lambda flight: (flight.loop._notifier, "complete_cycle"),
+    "status line": lambda flight: (flight.loop.notifier, "status"),
+    "rejections logged": lambda flight: (flight.loop.rejections, "update"),
+    "event logged": lambda flight: (flight.loop.events, "log"),
+    "watchdog fed": lambda flight: (flight.loop.notifier, "complete_cycle"),
 }
 SETPOINT_FAILS = ("setpoint encoded", "setpoint sent")
 REQUEST_FAILS = ("request encoded", "request sent")
@@ -89,13 +89,15 @@ def tilt(flight: FailingFlight) -> float:
     return float(max(abs(component) for component in flight.last_target.q[1:3]))
 
 
-def called(method: Callable[..., object]) -> set[tuple[str, str]]:
-    """(attribute, method) of each call of `self.attribute.method` in the source of a method."""
+def called(owner: type, method: str) -> set[tuple[str, str]]:
+    """(attribute, method) of each call of `self.attribute.method` in a method and in those of the class that it calls."""
     found = set()
-    for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(method)))):
+    for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(getattr(owner, method))))):
         match node:
             case ast.Call(func=ast.Attribute(ast.Attribute(ast.Name("self"), attribute), name)):
                 found.add((attribute, name))
+            case ast.Call(func=ast.Attribute(ast.Name("self"), name)):
+                found |= called(owner, name)
     return found
 
 
@@ -103,17 +105,17 @@ def test_each_call_of_a_tick_is_among_the_stages() -> None:
     """But for the two halves of the agent, whose stages are, and the recorder, whose defects end the recording alone."""
     flight = FailingFlight(AutopilotKind.PX4)
     listed = [stage(flight) for stage in STAGES.values()]
-    loop = ControlLoop
-    of_loop = set().union(*map(called, (loop.tick, loop._inbox, loop._send, loop._publish, loop._measure_command)))
-    assert {("_agent", "decide"), ("_agent", "report"), ("_recorder", "tick")} <= of_loop
-    of_loop -= {("_agent", "decide"), ("_agent", "report"), ("_recorder", "tick")}
-    of_agent = called(Agent.decide) | called(Agent.report)
-    calls = [(flight.loop, *call) for call in of_loop] + [(flight.agent, *call) for call in of_agent]
-    missing = [
-        f"{attribute}.{method}"
-        for owner, attribute, method in calls
-        if not any(getattr(owner, attribute) is one and method == name for one, name in listed)
+    without_recorder = (None, "tick")
+    halves = [(flight.agent, "decide"), (flight.agent, "report")]
+    calls = [(getattr(flight.loop, attribute), method) for attribute, method in called(ControlLoop, "tick")]
+    calls += [
+        (getattr(flight.agent, attribute), method)
+        for half in ("decide", "report")
+        for attribute, method in called(Agent, half)
     ]
+    for apart in (without_recorder, *halves):
+        assert apart in calls
+    missing = [call for call in calls if call not in [without_recorder, *halves, *listed]]
     assert missing == []
 
 
@@ -210,7 +212,7 @@ def test_a_failure_while_formation_is_left_levels_and_requests_hold(
     )
     assert after_ticks > 1 or tilt(flight) > 0.03
     sent, requested = len(flight.autopilot.targets), set_modes(flight)
-    flight.inject(flight.agent._guidance, "step")
+    flight.inject(flight.agent.guidance, "step")
     flight.ticks(1.0)
     assert len(flight.autopilot.targets) > sent
     assert tilt(flight) < LEVEL
@@ -228,7 +230,7 @@ def test_a_landing_or_return_that_has_begun_is_not_ended(kind: AutopilotKind, na
     flight.ticks(CLEARED_S + 0.2)
     sent, commands = len(flight.autopilot.targets), len(flight.autopilot.commands)
     mode = flight.autopilot.custom_mode
-    flight.inject(flight.agent._guidance, "step")
+    flight.inject(flight.agent.guidance, "step")
     flight.ticks(1.0)
     assert (len(flight.autopilot.targets), len(flight.autopilot.commands)) == (sent, commands)
     assert flight.autopilot.custom_mode == mode
@@ -241,7 +243,7 @@ def test_a_pilot_who_ends_a_landing_in_its_first_moments_keeps_the_vehicle(kind:
     flight.tick(CommandName.LAND)
     flight.autopilot.custom_mode = MANUAL[kind]
     sent, requested = len(flight.autopilot.targets), set_modes(flight)
-    flight.inject(flight.agent._guidance, "step")
+    flight.inject(flight.agent.guidance, "step")
     flight.ticks(1.0)
     assert (len(flight.autopilot.targets), set_modes(flight)) == (sent, requested)
     assert flight.autopilot.custom_mode == MANUAL[kind]
@@ -254,7 +256,7 @@ def test_a_failure_while_hold_is_requested_without_a_stream_repeats_the_request(
     flight.tick(CommandName.HOLD)
     assert flight.agent.phase is P.RELEASE
     sent, requested = len(flight.autopilot.targets), set_modes(flight)
-    flight.inject(flight.agent._guidance, "step")
+    flight.inject(flight.agent.guidance, "step")
     flight.ticks(0.2)
     assert len(flight.autopilot.targets) == sent
     assert set_modes(flight) - requested == 2
@@ -265,7 +267,7 @@ def test_level_setpoints_and_requests_are_repeated_until_the_autopilot_holds(kin
     flight = FailingFlight(kind).fly_to(P.FORMATION)
     flight.autopilot.refuses[SET_MODE] = (mavlink.MAV_RESULT_FAILED,)
     requested = set_modes(flight)
-    flight.inject(flight.agent._consensus, "step")
+    flight.inject(flight.agent.consensus, "step")
     flight.ticks(0.3)
     assert set_modes(flight) - requested in (3, 4)
     assert flight.ended_s is None
@@ -279,7 +281,7 @@ def test_level_setpoints_and_requests_are_repeated_until_the_autopilot_holds(kin
 def test_an_autopilot_that_refuses_hold_gets_silence_after_the_last_level_setpoint(kind: AutopilotKind) -> None:
     flight = FailingFlight(kind).fly_to(P.FORMATION)
     flight.autopilot.refuses[SET_MODE] = (mavlink.MAV_RESULT_FAILED,)
-    flight.inject(flight.agent._consensus, "step")
+    flight.inject(flight.agent.consensus, "step")
     flight.ticks(1.0)
     assert flight.failed_s is not None
     assert flight.ended_s is not None
@@ -296,7 +298,7 @@ def test_a_pilot_who_has_taken_over_keeps_the_vehicle(kind: AutopilotKind, seen:
     if seen == "before the fault":
         flight.autopilot.custom_mode = pilots_mode
         flight.tick()
-    flight.inject(flight.agent._guidance, "step")
+    flight.inject(flight.agent.guidance, "step")
     if seen == "in the tick of the fault":
         flight.autopilot.custom_mode = pilots_mode
     if seen == "after the fault":
@@ -315,7 +317,7 @@ def test_a_failure_outside_formation_sends_nothing(kind: AutopilotKind, phase: F
     """The autopilot flies itself or stands on the ground; ArduCopter is in GUIDED all the while."""
     flight = FailingFlight(kind).fly_to(phase)
     sent, requested = len(flight.autopilot.targets), set_modes(flight)
-    flight.inject(flight.agent._guidance, "step")
+    flight.inject(flight.agent.guidance, "step")
     flight.ticks(1.0)
     assert flight.ended_s == flight.failed_s
     assert (len(flight.autopilot.targets), set_modes(flight)) == (sent, requested)
@@ -330,7 +332,7 @@ def test_a_failure_while_the_autopilot_takes_the_stream_requests_hold(kind: Auto
     flight.ticks(0.1)
     flight.form()
     assert flight.agent.phase is P.ENGAGE
-    flight.inject(flight.agent._guidance, "step")
+    flight.inject(flight.agent.guidance, "step")
     flight.tick()
     request = flight.autopilot.commands[-1]
     wanted = HOLD[kind]
@@ -343,7 +345,7 @@ def test_blind_after_the_failure_nothing_is_repeated(kind: AutopilotKind) -> Non
     """Without telemetry a pilot's change of mode would remain unseen."""
     flight = FailingFlight(kind).fly_to(P.FORMATION)
     flight.autopilot.refuses[SET_MODE] = (mavlink.MAV_RESULT_FAILED,)
-    flight.inject(flight.agent._guidance, "step")
+    flight.inject(flight.agent.guidance, "step")
     flight.tick()
     flight.inject(flight.link, "drain")  # the decoder fails as well
     sent = len(flight.autopilot.targets)

@@ -17,7 +17,7 @@ from companion.types.notices import Code
 STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "peers received early": lambda flight: (flight.peers, "receive_early"),
     "peers received": lambda flight: (flight.peers, "receive"),
-    "a stage": lambda flight: (flight.agent._guidance, "step"),
+    "a stage": lambda flight: (flight.agent.guidance, "step"),
 }
 
 

@@ -36,7 +36,7 @@ class GroundStation:
         self.socket.setblocking(False)
         self._parser = common.MAVLink(None)
         self._parser.robust_parsing = False
-        self._sender: tuple[str, int] = ("", 0)
+        self.sender: tuple[str, int] = ("", 0)
 
     @property
     def endpoint(self) -> str:
@@ -46,14 +46,14 @@ class GroundStation:
         messages: list[common.MAVLink_message] = []
         while True:
             try:
-                data, self._sender = self.socket.recvfrom(4096)
+                data, self.sender = self.socket.recvfrom(4096)
             except BlockingIOError:
                 return messages
             messages += self._parser.parse_buffer(data) or []
 
     def send(self, message: common.MAVLink_message) -> None:
         mav = common.MAVLink(None, srcSystem=255, srcComponent=190)
-        self.socket.sendto(message.pack(mav), self._sender)
+        self.socket.sendto(message.pack(mav), self.sender)
 
 
 @pytest.fixture
@@ -233,7 +233,7 @@ def test_a_command_is_denied_and_everything_else_ignored(feed: FleetFeed, statio
     station.send(common.MAVLink_param_request_list_message(1, 1))
     station.send(command(1))
     station.send(command(99))
-    station.socket.sendto(b"\xfd noise", station._sender)
+    station.socket.sendto(b"\xfd noise", station.sender)
     feed.step(100.01)
     (answer,) = station.received()
     assert (answer.get_type(), answer.get_srcSystem()) == ("COMMAND_ACK", 1)
@@ -257,7 +257,7 @@ def test_a_stranger_is_not_received(feed: FleetFeed, station: GroundStation) -> 
     feed.step(100.0)
     station.received()
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as stranger:
-        stranger.sendto(command(1).pack(common.MAVLink(None, srcSystem=254)), station._sender)
+        stranger.sendto(command(1).pack(common.MAVLink(None, srcSystem=254)), station.sender)
     feed.step(100.01)
     assert feed.ignored == 0
 

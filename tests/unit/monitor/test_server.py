@@ -8,6 +8,7 @@ from math import inf
 
 import msgspec
 import pytest
+from yarl import URL
 
 from companion.monitor.api import FleetFileView, History, Snapshot
 from live_site import Served, recorded, served, until_served
@@ -58,19 +59,28 @@ def test_snapshots_come_in_order_with_each_event_once() -> None:
     with_server(work)
 
 
+async def connect_without_reading(server: Served) -> asyncio.WriteTransport:
+    """A client of the snapshots that reads nothing after the answer to its upgrade."""
+    port = URL(server.url).port
+    reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1024)
+    writer.write(
+        f"GET /api/v1/live HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+        "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n\r\n".encode()
+    )
+    assert (await reader.readline()).startswith(b"HTTP/1.1 101")
+    return writer.transport
+
+
 def test_a_client_that_does_not_read_delays_no_other() -> None:
     async def work(server: Served) -> None:
-        slow = await server.http.ws_connect(f"{server.url}/api/v1/live")
-        transport = slow._response.connection.transport  # type: ignore[union-attr]
-        transport.pause_reading()  # type: ignore[union-attr]
+        slow = await connect_without_reading(server)
         large = b'"' + b"x" * 8_000_000 + b'"'  # more than the buffers of the connection hold
         async with server.http.ws_connect(f"{server.url}/api/v1/live", max_msg_size=0) as quick:
-            for client in server.site.clients._clients:
-                client.offer(large)
+            server.site.clients.publish(large)
             numbers = [s["number"] for s in [await quick.receive_json() for _ in range(20)] if isinstance(s, dict)]
             assert numbers == sorted(set(numbers))
             assert len(numbers) >= 18
-        transport.abort()  # type: ignore[union-attr]
+        slow.abort()
 
     with_server(work)
 
@@ -79,16 +89,14 @@ def test_a_client_that_does_not_read_leaves_its_place(monkeypatch: pytest.Monkey
     monkeypatch.setattr("companion.monitor.access.SEND_WITHIN_S", 0.2)
 
     async def work(server: Served) -> None:
-        slow = await server.http.ws_connect(f"{server.url}/api/v1/live")
-        transport = slow._response.connection.transport  # type: ignore[union-attr]
-        transport.pause_reading()  # type: ignore[union-attr]
+        slow = await connect_without_reading(server)
         server.site.clients.publish(b'"' + b"x" * 8_000_000 + b'"')
 
         async def left() -> bool:
-            return not server.site.clients._clients
+            return not server.site.clients.count
 
         await until_served(left, 1.5)  # without the heartbeat, which would come after 15 s
-        transport.abort()  # type: ignore[union-attr]
+        slow.abort()
 
     with_server(work)
 

@@ -30,7 +30,7 @@ def station() -> Station:
 def jump(station: Station, time_s: float) -> None:
     station.act(Seek(BEGIN_S + time_s))
     station.read()
-    station._publish()
+    station.renew()
 
 
 def silent_since_s(station: Station) -> list[float]:

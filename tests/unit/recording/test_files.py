@@ -17,7 +17,10 @@ LATER_S = 1e10  # by that time, all other flights are over
 def files_in(
     folder: Path, keep_bytes: int = 10**9, part_bytes: int = 100, source: str = "vehicle_3"
 ) -> PartFiles[bytes]:
-    flight = FlightFiles(folder, source, keep_bytes, lambda: LATER_S)
+    return files_of(FlightFiles(folder, source, keep_bytes, lambda: LATER_S), part_bytes)
+
+
+def files_of(flight: FlightFiles, part_bytes: int = 100) -> PartFiles[bytes]:
     return PartFiles(flight, TLOG, part_bytes, lambda _part: TlogPart())
 
 
@@ -99,11 +102,11 @@ def test_parts_that_cannot_begin_leave_no_files_and_no_gaps(tmp_path: Path, monk
 
 
 def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
-    first, second = files_in(tmp_path), files_in(tmp_path)
-    first._flight.path(1, TLOG), second._flight.path(1, TLOG)  # both choose the same number
-    first.write(b"first")
+    first, second = (FlightFiles(tmp_path, "vehicle_3", 10**9, lambda: LATER_S) for _ in range(2))
+    assert first.path(1, TLOG) == second.path(1, TLOG)  # both choose the same number
+    files_of(first).write(b"first")
     with pytest.raises(FileExistsError):
-        second.write(b"second")
+        files_of(second).write(b"second")
     assert (tmp_path / "vehicle_3_0001_001.tlog").read_bytes() == b"first"
 
 

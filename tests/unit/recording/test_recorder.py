@@ -269,7 +269,7 @@ def test_a_defect_of_the_recorder_ends_the_recording_and_not_the_flight(
 def test_the_failure_of_an_agent_is_recorded(tmp_path: Path) -> None:
     recording = recorder(tmp_path, WritingAtOnce())
     flight = flight_with(recording).fly_to(P.FORMATION)
-    flight.inject(flight.agent._perception, "step")
+    flight.inject(flight.agent.perception, "step")
     flight.ticks(1.0)
     recording.close()
     (recorded,) = recordings(tmp_path, print)

@@ -16,7 +16,7 @@ from companion.report.findings import FindingKind, Severity, finding, rows_of
 from companion.report.page import page_of, prose
 from companion.report.plotting import COLUMNS, STYLES, thin_out, vehicle_look
 from companion.report.summary import judge
-from companion.report.track_figures import _view
+from companion.report.track_figures import view
 from companion.types.commands import CommandName
 from companion.types.flight import HealthFlag
 from companion.types.notices import Code, Notice
@@ -168,7 +168,7 @@ def test_a_track_begins_at_the_first_position() -> None:
 
     flight = flight_of(records_of(2, 24.0, {1: Faults(decision=located_from_4_s), 2: Faults(decision=never_located)}))
     assert "tracks" in page_of(judge(flight), ZONE)
-    assert _view(flight) == ((49.0, 51.0), (59.0, 61.0))
+    assert view(flight) == ((49.0, 51.0), (59.0, 61.0))
 
 
 def test_what_is_drawn_keeps_every_peak() -> None:

@@ -44,8 +44,8 @@ def test_a_vehicle_file_that_accepts_an_uncontrolled_descent_makes_its_refusal_a
     agent, session = config(), DoctorSession.__new__(DoctorSession)  # without its sockets
     vehicle = replace(agent.vehicle, accept_uncontrolled_descent=accepts)
     session.config = AgentConfig(vehicle, agent.fleet, agent.member)
-    session._tracker = SimpleNamespace(state=VehicleState(autopilot=AutopilotKind.PX4))  # type: ignore[assignment]
-    session._parameters = Parameters(loss_action)  # type: ignore[assignment]
+    session.tracker = SimpleNamespace(state=VehicleState(autopilot=AutopilotKind.PX4))  # type: ignore[assignment]
+    session.parameters = Parameters(loss_action)  # type: ignore[assignment]
     diagnosis = asyncio.run(session.diagnose())
     (found,) = [finding for finding in diagnosis.findings if finding.subject == "COM_OBL_RC_ACT"]
     assert found.verdict is verdict

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from typing import Any
 
 import pytest
 
@@ -11,11 +12,12 @@ from companion.analysis.response import COST_PER_STEP, Chain
 from companion.config.fleet import FleetConfig, FormationMember, Law, RangeNeighbours
 from companion.config.reference import CircleReference, Figure8Reference
 from companion.core.formation.changes import HEARD_PERIOD_S, QUEUED, Changes
+from companion.core.formation.slots import SlotPlan
 from companion.core.paced import PENDING, RESULTS_KEPT, STEPS_PER_TICK, PacedChecks
 from companion.types.commands import Command, CommandName, CommandReply, ReferenceChange
 from companion.types.flight import Role
 from companion.types.formation import FlownSlot, FormationChange
-from companion.types.notices import Code
+from companion.types.notices import Answer, Code
 from companion.types.steps import Steps
 from one_agent import AgentFlight
 
@@ -62,7 +64,7 @@ def on_ground(reference: Figure8Reference | CircleReference = LAP) -> AgentFligh
 
 
 def changes_of(flight: AgentFlight) -> Changes:
-    return flight.agent._guidance._changes
+    return flight.agent.guidance.changes
 
 
 def reference_of(flight: AgentFlight, number: int, described: dict[str, object], ahead_s: float = 3.0) -> Command:
@@ -79,7 +81,7 @@ def until_answered(
     flight: AgentFlight, given: Iterable[Command], most: int = 200
 ) -> tuple[list[CommandReply], list[int]]:
     """The replies, and the steps of each tick."""
-    checks, replies, steps, commands = changes_of(flight)._checks, [], [], tuple(given)
+    checks, replies, steps, commands = changes_of(flight).checks, [], [], tuple(given)
     awaited = len(commands)
     for _ in range(most):
         before = checks.steps
@@ -138,15 +140,15 @@ def test_two_hundred_waypoints_are_checked_over_several_ticks(
     monkeypatch: pytest.MonkeyPatch, speed_m_s: float
 ) -> None:
     solved: list[int] = []
-    responses = Chain._responses
+    solve = Chain.solve
 
     def counted(chain: Chain, rate_rad_s: float) -> dict[int, complex]:
         solved.append(checks.steps)
-        return responses(chain, rate_rad_s)
+        return solve(chain, rate_rad_s)
 
-    monkeypatch.setattr(Chain, "_responses", counted)
+    monkeypatch.setattr(Chain, "solve", counted)
     flight = on_ground()
-    checks = changes_of(flight)._checks
+    checks = changes_of(flight).checks
     solved.clear()
     (reply,), steps = until_answered(flight, [reference_of(flight, 1, waypoints(200, speed_m_s))])
     assert reply.accepted == (speed_m_s < 1.0), reply.reason
@@ -169,7 +171,7 @@ def test_a_reply_that_comes_later_comes_once_and_again_when_the_command_is_sent_
 def test_of_many_changes_in_one_tick_one_is_judged_in_a_tick_and_most_are_refused() -> None:
     flight = on_ground()
     given = [reference_of(flight, number, waypoints(60 + number)) for number in range(1, 33)]
-    checks = changes_of(flight)._checks
+    checks = changes_of(flight).checks
     first = flight.tick(given=tuple(given)).replies
     assert [reply.code for reply in first] == [Code.CHANGE_IN_PROGRESS] * (len(given) - QUEUED)
     assert checks.steps <= STEPS_PER_TICK
@@ -188,7 +190,7 @@ def test_a_refusal_that_needs_no_check_comes_at_once_and_without_one() -> None:
     close = flight.command(C.FORMATION, content=wider(1, flight.peer_reference_s + 3.0, by=0.2))
     for given, code in ((late, Code.CHANGE_NOT_IN_TIME), (far, Code.CHANGE_TOO_NEW), (close, Code.SLOT_TOO_CLOSE)):
         assert [reply.code for reply in flight.tick(given=(given,)).replies] == [code]
-    assert changes_of(flight)._checks.steps == 0
+    assert changes_of(flight).checks.steps == 0
 
 
 def test_an_abort_is_answered_at_once_while_a_change_is_checked() -> None:
@@ -205,14 +207,14 @@ def test_a_leader_with_another_change_in_every_packet_is_judged_a_few_times_a_se
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     flight = on_ground(ROUND)
-    checks, judged = changes_of(flight)._checks, []
-    change_formation = Changes._change_formation
+    checks, judged = changes_of(flight).checks, []
+    change_on_ground = SlotPlan.change_on_ground
 
-    def counted(changes: Changes, change: FormationChange, *rest: object, **named: object) -> object:
+    def counted(slots: SlotPlan, change: FormationChange, *rest: Any) -> Answer:
         judged.append(change.number)
-        return change_formation(changes, change, *rest, **named)  # type: ignore[arg-type]
+        return change_on_ground(slots, change, *rest)
 
-    monkeypatch.setattr(Changes, "_change_formation", counted)
+    monkeypatch.setattr(SlotPlan, "change_on_ground", counted)
     ticks = 100
     for number in range(1, ticks + 1):
         change = wider(number, flight.peer_reference_s + 3.0, by=1.0 + 0.001 * number)

@@ -153,6 +153,6 @@ def test_the_published_path_of_a_peer_is_predicted_to_its_end() -> None:
     x, y, z = (r + d for r, d in zip(AT, position, strict=True))
     slot = FlownSlot(position, velocity, acceleration, moves_for_s=path[1] - half_s)
     moving = holding(1, (x, y, z), FlightPhase.FORMATION, velocity_enu_m_s=velocity, slot=slot)
-    predicted = plan._forming(NOW_S, moving, FRAME, 1.0)
+    predicted = plan.peers_path(NOW_S, moving, FRAME, 1.0)
     for t in (0.0, 1.0, 3.0, 5.0):
         assert dist(predicted(t)[0], path[0](half_s + t)[0]) < 1e-6

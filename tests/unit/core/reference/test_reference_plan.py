@@ -122,7 +122,7 @@ def plan() -> ReferencePlan:
     file = vehicle_file(scenario, reached_stand_in(scenario, 1, port_offset=0), port_offset=0)
     references = build_agent(
         AgentConfig(file, scenario.fleet, scenario.fleet.vehicles[0]), session=1
-    )._guidance._references
+    ).guidance.references
     assert references is not None
     return references
 

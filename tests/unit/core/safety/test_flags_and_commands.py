@@ -50,7 +50,7 @@ OWN_MODE = {  # AUTO.LAND and AUTO.RTL; LAND and RTL
 
 def raise_flags(flight: FlightOnBytes, flags: set[HealthFlag]) -> None:
     """From now on the safeguard reports these flags besides its own; `flags` may change later."""
-    safeguard: Any = flight.agent._safeguard
+    safeguard: Any = flight.agent.safeguard
     step = safeguard.step
 
     def with_flags(*arguments: Any) -> Safety:
@@ -136,7 +136,8 @@ def test_a_flag_in_the_first_moments_of_a_landing_or_return_does_not_end_it(
     sent = len(flight.autopilot.targets)
     flight.autopilot.up_m = 60.0  # above the fence
     flight.ticks(0.1)
-    assert F.OUTSIDE_FENCE in flight.agent._last_safety.flags
+    assert flight.status is not None
+    assert F.OUTSIDE_FENCE in flight.status.flags
     assert len(flight.autopilot.targets) > sent
     flight.ticks(1.0)
     assert flight.agent.phase is {C.LAND: P.LAND, C.RETURN: P.RETURN}[name]

@@ -6,7 +6,7 @@ import pytest
 from lockstep_fleet import platoon
 from sitl.batch.autopilots import BatchGusts, EstimatorErrors
 from sitl.batch.columns import columns_of
-from sitl.batch.flight import Simulation, fly_batch, starts_at_rest
+from sitl.batch.flight import fly_batch
 from sitl.vehicle.config import SENSORS
 
 NOISY = ("stand_in.sensors=default", "stand_in.wind.gust_sd_m_s=0.5", "links.peer_loss=0.2", "links.peer_jitter_s=0.05")
@@ -167,5 +167,5 @@ def test_gusts_have_the_configured_mean_and_spread() -> None:
 
 def test_gusts_do_not_change_the_sensor_noise() -> None:
     quiet, gusty = ([platoon("stand_in.sensors=default", *more)] for more in ((), ("stand_in.wind.gust_sd_m_s=0.5",)))
-    one, other = (Simulation(s, columns_of(s), starts_at_rest(s))._autopilots._errors for s in (quiet, gusty))
+    one, other = (EstimatorErrors(s, columns_of(s)) for s in (quiet, gusty))
     np.testing.assert_array_equal(one.position_m, other.position_m)
