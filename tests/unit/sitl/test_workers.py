@@ -144,13 +144,11 @@ def test_a_worker_that_started_slowly_and_was_killed_is_noticed(
             in_progress.results()
 
 
-def test_leaving_the_block_early_ends_all_workers_at_once(tmp_path: Path) -> None:
+def test_leaving_the_block_early_ends_all_workers(tmp_path: Path) -> None:
     files = (tmp_path / "a", tmp_path / "b")
     with pytest.raises(KeyError), LocalWorkers(2).running(hang, [*files, tmp_path / "c"]):
         pids = pids_in(*files)
-        began_s = time.monotonic()
-        raise KeyError
-    assert time.monotonic() - began_s < 1.0
+        raise KeyError  # the jobs would go on for ever
     assert not any(map(is_alive, pids))
     assert not (tmp_path / "c").exists()
 
