@@ -108,7 +108,7 @@ class ReportStage:
         self._sequence += 1
         identity, beacon = self._identity, consensus.lead.beacon
         leads = consensus.lead.role is LEADER and flight.phase is FORMATION
-        rft = setpoint.rft
+        rft, state_age_s = setpoint.rft, now_s - vehicle.position_time_s
         return PeerPacket(
             sender=Sender(identity.vehicle_id, identity.session, self._sequence, identity.formation_hash),
             phase=flight.phase,
@@ -117,7 +117,7 @@ class ReportStage:
                 position_enu_m=vehicle.position_enu_m,
                 velocity_enu_m_s=vehicle.velocity_enu_m_s,
                 acceleration_enu_m_s2=setpoint.acceleration_enu_m_s2,
-                state_age_s=max(0.0, now_s - vehicle.position_time_s),
+                state_age_s=state_age_s if state_age_s > 0.0 else 0.0,
                 sent_s=now_s,
             ),
             leader=LeaderReport(consensus.prc, beacon and replace(beacon, heading=guidance.published_heading)),

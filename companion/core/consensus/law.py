@@ -226,11 +226,11 @@ def next_prc(is_leader: bool, neighbour_prcs: Iterable[int], n: int) -> int:
     """
     if is_leader:
         return 1
-    least = n
+    least = n - 1
     for prc in neighbour_prcs:
         if prc < least:
             least = prc
-    return min(n, least + 1)
+    return least + 1
 
 
 INTERVENES_M_S2 = 0.3  # less comes and goes with noise

@@ -291,7 +291,8 @@ class PeerTable:
         rx, ry, rz = ZERO3 if packet.rft is None else packet.rft[2]
         own, of_slot, of_rft = ax * ax + ay * ay + az * az, sx * sx + sy * sy + sz * sz, rx * rx + ry * ry + rz * rz
         most_m_s2 = self._limits.acceleration_m_s2
-        if max(own, of_slot, of_rft) > most_m_s2 * most_m_s2:
+        most_squared = most_m_s2 * most_m_s2
+        if own > most_squared or of_slot > most_squared or of_rft > most_squared:
             packet = self._within_limits(packet, most_m_s2)
         if packet.phase in ON_GROUND and before is not None and before.packet.phase in ON_GROUND:
             self.ground_position_enu_m[vehicle_id] = motion.position_enu_m

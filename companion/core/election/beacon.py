@@ -33,13 +33,11 @@ class _Kept(Struct, frozen=True, gc=False):
 
 
 def _after(kept: _Kept, now_s: float, beacon: LeaderBeacon) -> _Kept:
-    """What is kept of a leader after another beacon of it, which may come from far and be older than the newest one."""
+    """What is kept of a leader after a beacon of it with another stamp: one from far may be older than the newest."""
     stamp, elapsed_s = beacon.stamp, now_s - kept.received_s
     if kept.beacon.stamp < stamp <= kept.clock_stamp + STAMPS_PER_S * elapsed_s + STAMPS_AHEAD:
         clock_stamp, own_stamp = kept.clock_stamp + REMEMBERED * STAMPS_PER_S * elapsed_s, float(stamp)
         return _Kept(beacon, now_s, own_stamp if own_stamp > clock_stamp else clock_stamp)
-    if stamp == kept.beacon.stamp:
-        return kept
     silent_s = now_s - kept.rival_s
     if (
         silent_s > GAP_S or stamp > kept.rival_stamp
@@ -69,16 +67,20 @@ class BeaconMonitor:
 
         The own term may be older than before: then those of the newer one had no leader, and are not passed on.
         """
-        for leader in [leader for leader in self._newest if leader[1] != term]:
-            if leader[1] > term or now_s - self._newest[leader].received_s > OLDER_TERM_S:
-                del self._newest[leader]
+        newest = self._newest
+        for leader in [leader for leader in newest if leader[1] != term]:
+            if leader[1] > term or now_s - newest[leader].received_s > OLDER_TERM_S:
+                del newest[leader]
         epoch, rank = term
         for beacon in beacons:
             if beacon is None or beacon.epoch != epoch or -beacon.claim != rank:
                 continue
             leader, stamp = (beacon.leader_id, term), beacon.stamp
-            kept = self._newest.get(leader)
-            self._newest[leader] = _Kept(beacon, now_s, float(stamp)) if kept is None else _after(kept, now_s, beacon)
+            kept = newest.get(leader)
+            if kept is None:
+                newest[leader] = _Kept(beacon, now_s, float(stamp))
+            elif kept.beacon.stamp != stamp:
+                newest[leader] = _after(kept, now_s, beacon)
 
     def youngest(self, now_s: float) -> tuple[LeaderBeacon | None, float]:
         """The beacon to pass on and its age in seconds; None and infinity without one within `max_age_s`.

@@ -48,7 +48,7 @@ class OutputLimiter:
         if last is None or not _finite(wanted):
             return None
         # After a gap the slew still starts from the last setpoint: without setpoints a vehicle has not turned far.
-        elapsed_s = min(max(now_s - self._last_s, 0.0), LONGEST_SLEW_S)
+        elapsed_s = between(now_s - self._last_s, 0.0, LONGEST_SLEW_S)
         # Slewing each angle separately can leave the tilt circle slightly, so the tilt is limited again.
         allowed = self._within_limits(wanted, hover_thrust_norm)
         slewed = self._slewed(last, allowed, elapsed_s, hover_thrust_norm)
@@ -83,9 +83,9 @@ class OutputLimiter:
         d_yaw, d_thrust = wanted.yaw_rad - last.yaw_rad, wanted.thrust_norm - last.thrust_norm
         if not -pi <= d_yaw < pi:
             d_yaw = wrap_pi(d_yaw)
-        if max(abs(d_roll), abs(d_pitch), abs(d_yaw)) > angle:
+        if not (-angle <= d_roll <= angle and -angle <= d_pitch <= angle and -angle <= d_yaw <= angle):
             d_roll, d_pitch, d_yaw = clamped(d_roll, angle), clamped(d_pitch, angle), clamped(d_yaw, angle)
-        if abs(d_thrust) > thrust:
+        if not -thrust <= d_thrust <= thrust:
             d_thrust = clamped(d_thrust, thrust)
         return AttitudeTarget(
             last.roll_rad + d_roll, last.pitch_rad + d_pitch, last.yaw_rad + d_yaw, last.thrust_norm + d_thrust
