@@ -18,7 +18,7 @@ from sitl.autopilots.logs import StandInLogs
 from sitl.autopilots.parameters import AutopilotData, StandInParameters
 from sitl.vehicle.automatic_flight import AutomaticFlight, Course, GroundContact, Speeds
 from sitl.vehicle.config import AutopilotFile, StandIn
-from sitl.vehicle.control import AttitudeSetpoint, Loops
+from sitl.vehicle.control import AttitudeSetpoint
 from sitl.vehicle.quadrotor import MOTORS_OFF, Quadrotor
 
 DT_S = 0.004  # physics and attitude control at 250 Hz
@@ -96,8 +96,6 @@ class Autopilot(ABC):
 
     kind: ClassVar[AutopilotKind]
     data: ClassVar[AutopilotData]
-    loops: ClassVar[Loops]
-    braking_m_s2: ClassVar[float]  # of automatic flight
     parameters_type: ClassVar[type[StandInParameters]] = StandInParameters
     flight_logs: StandInLogs
     mode: FlightMode
@@ -108,7 +106,7 @@ class Autopilot(ABC):
         hover_thrust_norm = known_or(stand_in.airframe.hover_thrust_norm, self.data.hover_thrust_norm)
         self.system_id = file.id
         self.dt_s = dt_s
-        self.quad = Quadrotor(file, self.loops, dt_s, hover_thrust_norm)
+        self.quad = Quadrotor(file, self.data.loops, dt_s, hover_thrust_norm)
         self.parameters = self.parameters_type(self.data, file.id, stand_in.parameters)
         self.time_s = 0.0
         self.armed = False
@@ -119,7 +117,7 @@ class Autopilot(ABC):
         self.origin_changes = 0
         self._steps = 0
         self._control_steps = max(1, round(CONTROL_PERIOD_S / dt_s))
-        self._automatic = AutomaticFlight(self.quad, self.speeds, hover_thrust_norm, self.braking_m_s2)
+        self._automatic = AutomaticFlight(self.quad, self.speeds, hover_thrust_norm, self.data.braking_m_s2)
         self._ground = GroundContact()
         self._incidents = Incidents(file)
 

@@ -10,16 +10,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
-from math import inf, isfinite
-from typing import ClassVar
+from math import inf, isfinite, nan
+from typing import Any, ClassVar
 
+from companion.geometry.frames import euler_enu_from_ned, flu_from_frd
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from sitl.autopilots.autopilot import Autopilot
-from sitl.autopilots.logs import LogTransfer
+from sitl.autopilots.logs import Answers, Handler, LogTransfer
 from sitl.autopilots.messages import BUILDERS
 from sitl.autopilots.parameters import AutopilotData
 from sitl.vehicle.automatic_flight import Course
-from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.control import AttitudeSetpoint
 
 M = mavlink
@@ -39,7 +39,6 @@ REQUESTS_OF_ONE_MESSAGE = {
     M.MAV_CMD_GET_HOME_POSITION: M.MAVLINK_MSG_ID_HOME_POSITION,
 }
 
-Answers = Iterator[MavlinkMessage]
 EPSILON_S = 1e-6
 
 
@@ -56,7 +55,7 @@ class Receiver(ABC):
         self._schedule = schedule
         self._text_id = 0
         self.ground_station_s: float | None = None  # when its HEARTBEAT last came on this link
-        self._messages: dict[str, Callable[[MavlinkMessage], Answers]] = {
+        self._messages: dict[str, Handler] = {
             "HEARTBEAT": self._heartbeat,
             "COMMAND_LONG": self._command_long,
             "PARAM_REQUEST_LIST": self._param_list,
@@ -71,8 +70,8 @@ class Receiver(ABC):
             "PING": self._ping,
             "FILE_TRANSFER_PROTOCOL": self._file_transfer,
             "SET_MODE": self._set_mode_message,
-            "SET_ATTITUDE_TARGET": self._set_attitude_target,
-            "SET_POSITION_TARGET_LOCAL_NED": self._set_position_target,
+            "SET_ATTITUDE_TARGET": self._take_setpoint,
+            "SET_POSITION_TARGET_LOCAL_NED": self._take_setpoint,
         }
         self._commands: dict[int, Callable[[list[float]], Iterator[int]]] = {  # results in their order
             M.MAV_CMD_DO_SET_MODE: self._do_set_mode,
@@ -88,7 +87,7 @@ class Receiver(ABC):
         """Answers to one message. Messages for other targets are ignored silently."""
         handler = self._messages.get(message.get_type())
         if handler is not None and self._is_for_it(message):
-            yield from handler(message)
+            yield from handler(message) or ()
 
     def texts(self, texts: list[tuple[int, str]]) -> Answers:
         """STATUSTEXT in chunks of 50 characters."""
@@ -106,10 +105,9 @@ class Receiver(ABC):
 
     # ------------------------------------------------------------ messages
 
-    def _heartbeat(self, message: MavlinkMessage) -> Answers:
+    def _heartbeat(self, message: MavlinkMessage) -> None:
         if self._is_of_ground_station(message):
             self.ground_station_s = self._autopilot.ground_station_s = self._autopilot.time_s
-        yield from ()
 
     @abstractmethod
     def _is_of_ground_station(self, heartbeat: MavlinkMessage) -> bool: ...
@@ -138,23 +136,16 @@ class Receiver(ABC):
         for result in handler(parameters):
             yield self._ack(message, result)
 
-    def _set_mode_message(self, message: MavlinkMessage) -> Answers:
+    def _set_mode_message(self, message: MavlinkMessage) -> None:
         """SET_MODE is not answered."""
         for _ in self._do_set_mode([1.0, *self._mode_parameters(message.custom_mode)]):
             pass
-        yield from ()
 
-    def _set_attitude_target(self, message: MavlinkMessage) -> Answers:
-        if self._autopilot.follows_setpoints:
-            self._follow(self._attitude_of(message))
-        yield from ()
-
-    def _set_position_target(self, message: MavlinkMessage) -> Answers:
-        if self._autopilot.follows_setpoints:
-            self._follow(self._course_of(message))
-        yield from ()
-
-    def _follow(self, setpoint: AttitudeSetpoint | Course | None) -> None:
+    def _take_setpoint(self, message: MavlinkMessage) -> None:
+        if not self._autopilot.follows_setpoints:
+            return
+        is_attitude = message.get_type() == "SET_ATTITUDE_TARGET"
+        setpoint = self._attitude_of(message) if is_attitude else self._course_of(message)
         if setpoint is None:
             self._autopilot.stop()
         else:
@@ -251,6 +242,13 @@ class Receiver(ABC):
         reply[2] = request[2]  # the session, by which MAVProxy matches answers
         reply[3], reply[4], reply[5], reply[12] = 129, 1, request[3], 10  # NAK, one byte: file not found
         yield M.MAVLink_file_transfer_protocol_message(0, message.get_srcSystem(), message.get_srcComponent(), reply)
+
+
+def turn_of(message: MavlinkMessage) -> tuple[float, float]:
+    """Yaw [rad] and yaw rate [rad/s] in ENU of a SET_POSITION_TARGET_LOCAL_NED; NaN and 0 for those that it does not give."""
+    mask = message.type_mask
+    yaw_rad = nan if mask & IGNORE_YAW else euler_enu_from_ned(0.0, 0.0, message.yaw)[2]
+    return yaw_rad, 0.0 if mask & IGNORE_YAW_RATE else flu_from_frd((0.0, 0.0, message.yaw_rate))[2]
 
 
 class Schedule:
@@ -379,8 +377,11 @@ class LinkEnd:
 class AutopilotType:
     """An autopilot type: its vehicle, and the ends of its links; `tcp_link` is None for one that does not listen on TCP."""
 
-    vehicle: Callable[[AutopilotFile, float], Autopilot]
-    data: AutopilotData
-    onboard_link: Callable[[Autopilot], LinkEnd]
-    ground_link: Callable[[Autopilot], LinkEnd]
-    tcp_link: Callable[[Autopilot], LinkEnd] | None = None
+    vehicle: type[Autopilot]
+    onboard_link: Callable[[Any], LinkEnd]  # each takes a vehicle of this type
+    ground_link: Callable[[Any], LinkEnd]
+    tcp_link: Callable[[Any], LinkEnd] | None = None
+
+    @property
+    def data(self) -> AutopilotData:
+        return self.vehicle.data

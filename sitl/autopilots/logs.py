@@ -6,7 +6,6 @@ estimate, as real logs do.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from math import inf
@@ -14,6 +13,8 @@ from typing import Protocol
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
 
+Answers = Iterator[MavlinkMessage]
+Handler = Callable[[MavlinkMessage], Answers | None]  # of an incoming message; None: without answers
 PERIOD_S = 0.1
 EPSILON_S = 1e-6
 CHUNK_BYTES = 90  # of LOG_DATA
@@ -89,32 +90,18 @@ class StandInLogs:
         self._open = None
 
 
-class LogTransfer(ABC):
-    """Log transfer on one link. A request yields its immediate answers and changes what `due` sends."""
+class LogTransfer(Protocol):
+    """Log transfer on one link. A request has its immediate answers and changes what `due` sends."""
 
-    def __init__(self) -> None:
-        self.requests: dict[str, Callable[[MavlinkMessage], Iterator[MavlinkMessage]]] = {
-            "LOG_REQUEST_LIST": self._list,
-            "LOG_REQUEST_DATA": self._data,
-            "LOG_REQUEST_END": self._end,
-            "LOG_ERASE": self._erase,
-        }
+    requests: dict[str, Handler]
 
-    @abstractmethod
-    def due(self) -> Iterator[MavlinkMessage]:
+    def due(self) -> Answers:
         """LOG_ENTRY and LOG_DATA of one step."""
 
-    @abstractmethod
-    def _list(self, request: MavlinkMessage) -> Iterator[MavlinkMessage]: ...
 
-    @abstractmethod
-    def _data(self, request: MavlinkMessage) -> Iterator[MavlinkMessage]: ...
-
-    @abstractmethod
-    def _end(self, request: MavlinkMessage) -> Iterator[MavlinkMessage]: ...
-
-    @abstractmethod
-    def _erase(self, request: MavlinkMessage) -> Iterator[MavlinkMessage]: ...
+def log_requests(listed: Handler, data: Handler, end: Handler, erase: Handler) -> dict[str, Handler]:
+    """The requests of the log protocol, each with what handles it."""
+    return {"LOG_REQUEST_LIST": listed, "LOG_REQUEST_DATA": data, "LOG_REQUEST_END": end, "LOG_ERASE": erase}
 
 
 def log_data(number: int, offset: int, content: bytes) -> MavlinkMessage:

@@ -18,6 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 
 from companion.config.file import StrictLoader
 from companion.mavlink.codec import MavlinkMessage, mavlink
+from sitl.vehicle.control import Loops
 
 REAL32: int = mavlink.MAV_PARAM_TYPE_REAL32
 INT32: int = mavlink.MAV_PARAM_TYPE_INT32
@@ -43,6 +44,8 @@ class AutopilotData(msgspec.Struct, frozen=True, dict=True, kw_only=True, forbid
     capabilities: tuple[str, ...]
     hover_thrust_norm: float
     armable_after_s: float
+    braking_m_s2: float
+    loops: Loops
     set_up: dict[str, float]
     disarmed: SensorBits
     armed: SensorBits

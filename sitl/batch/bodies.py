@@ -13,7 +13,7 @@ import numpy as np
 
 from companion.analysis.interaction import FloatArray
 from companion.types.values import GRAVITY_M_S2
-from sitl.autopilots.px4.autopilot import PX4_LOOPS as LOOPS
+from sitl.autopilots.px4.autopilot import Px4
 from sitl.batch.columns import IntArray
 from sitl.vehicle.config import Airframe
 
@@ -179,6 +179,7 @@ def quaternion_of_euler(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: Fl
     )
 
 
+LOOPS = Px4.data.loops
 HALF_TURN = 1e-6  # bound of `turn` for an error of half a turn, where either direction is as short
 MOST_RAD_S = np.array([[LOOPS.max_rate_rad_s], [LOOPS.max_rate_rad_s], [LOOPS.max_yaw_rate_rad_s]])
 

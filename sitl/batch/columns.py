@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from random import Random
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from companion.analysis.interaction import FloatArray
 from companion.config.reference import TargetReference
 from sitl.flight.files import ids_of
-from sitl.flight.lockstep import TELEMETRY_STEPS
+from sitl.flight.lockstep import TELEMETRY_STEPS, phase_steps
 from sitl.flight.scenario import Scenario
 
 IntArray = NDArray[np.int64]
@@ -73,9 +73,9 @@ def columns_of(scenarios: Sequence[Scenario]) -> Columns:
     return Columns(count, vehicles, order, column_of, order // vehicles, sorted_phases, groups)
 
 
-def phase_steps(seed: int, vehicle_id: int) -> int:
-    """Step within its period in which a vehicle's telemetry is sampled, as in sitl.flight.lockstep."""
-    return Random(f"{seed} {vehicle_id} phase").randrange(TELEMETRY_STEPS)
+NOT_MODELLED = dict.fromkeys(
+    ("stand_in.batteries", "stand_in.estimator_resets", "stand_in.pilots"), "sitl run or sitl fly"
+) | dict.fromkeys(("agent_ends", "links.partitions"), "sitl run")
 
 
 def _check(scenarios: Sequence[Scenario]) -> None:
@@ -84,16 +84,9 @@ def _check(scenarios: Sequence[Scenario]) -> None:
     counts = sorted({len(scenario.fleet.vehicles) for scenario in scenarios})
     if len(counts) > 1:
         raise ValueError(f"all formations of a batch need the same number of vehicles; these have {counts}")
-    if any(scenario.stand_in.batteries for scenario in scenarios):
-        raise ValueError("a batch does not model stand_in.batteries; use sitl run or sitl fly")
-    if any(scenario.stand_in.estimator_resets for scenario in scenarios):
-        raise ValueError("a batch does not model stand_in.estimator_resets; use sitl run or sitl fly")
-    if any(scenario.stand_in.pilots for scenario in scenarios):
-        raise ValueError("a batch does not model stand_in.pilots; use sitl run or sitl fly")
-    if any(scenario.agent_ends for scenario in scenarios):
-        raise ValueError("a batch does not model agent_ends; use sitl run")
-    if any(scenario.links.partitions for scenario in scenarios):
-        raise ValueError("a batch does not model links.partitions; use sitl run")
+    for key, instead in NOT_MODELLED.items():
+        if any(map(attrgetter(key), scenarios)):
+            raise ValueError(f"a batch does not model {key}; use {instead}")
     if any(isinstance(scenario.reference, TargetReference) for scenario in scenarios):
         raise ValueError("a batch does not model targets to be followed; use sitl run or sitl fly")
     kinds = sorted({scenario.stand_in.airframe.attitude for scenario in scenarios})

@@ -7,9 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
+from typing import Any
+
+from msgspec import Struct
 
 from companion.analysis.interaction import couple, mode_eigenvalues, mode_figures
 from companion.analysis.margins import delay_margin_with_lag_s, string_gains
@@ -116,6 +119,16 @@ def _warnings(graph: Graph, leaders: list[int], law: FormationLaw, margin_s: flo
 
 
 @dataclass(frozen=True, slots=True)
+class FlightOrder:
+    """One flight to be flown: its scenario with a name, the folder for its results, and the request to stop it."""
+
+    scenario: Scenario
+    name: str
+    folder: Path
+    stop: StopRequest
+
+
+@dataclass(frozen=True, slots=True)
 class FlightResult:
     """One flight: its figures, and what they are drawn from (None where no formation was flown)."""
 
@@ -123,37 +136,20 @@ class FlightResult:
     flight: FormationFlight | None
 
 
-def write_results(
-    scenario: Scenario,
-    name: str,
-    folder: Path,
-    watch: FlightWatch,
-    tracks: Tracks | None,
-    *,
-    failure: str | None,
-    flight_s: float,
-    real_time_factor: float | None = None,
-    source: TrackSource = "true",
-) -> FlightResult:
+class FlightEnd(Struct, frozen=True, kw_only=True):
+    """How a flight ended: the failure in one line, the time flown, and the source of its tracks."""
+
+    failure: str | None
+    flight_s: float
+    real_time_factor: float | None = None
+    source: TrackSource = "true"
+
+
+def write_results(order: FlightOrder, watch: FlightWatch, tracks: Tracks | None, end: FlightEnd) -> FlightResult:
     """summary.json and, where a formation was flown, its figures. `tracks` is None where none are known."""
-    flight = _flight(scenario, watch, tracks, source) if tracks else None
-    figures = formation_figures(flight.tracks, flight.slots, flight.reference, flight.formation) if flight else None
-    tracked = (
-        tracking(flight.tracks, flight.slots, flight.reference, flight.formation, watch.leads()) if flight else None
-    )
-    smallest_m = smallest_distance_m(tracks) if tracks else None
-    summary = summarize(
-        scenario,
-        name,
-        watch,
-        figures,
-        tracked,
-        smallest_m,
-        failure=failure,
-        flight_s=flight_s,
-        real_time_factor=real_time_factor,
-        source=source,
-    )
+    scenario, name, folder = order.scenario, order.name, order.folder
+    flight = _flight(scenario, watch, tracks, end.source) if tracks else None
+    summary = summarize(scenario, name, watch, end, flight, smallest_distance_m(tracks) if tracks else None)
     write_json(folder / "summary.json", summary)
     if flight:
         from sitl.report.plan_view import save_plan_view  # matplotlib is slow to import
@@ -165,21 +161,25 @@ def write_results(
     return FlightResult(summary, flight)
 
 
+# The figures of a formation that a summary has as well.
+FIGURES = [field.name for field in fields(FormationFigures) if field.name in RunSummary.__struct_fields__]
+DIGITS = {"duration_s": 3, "settle_s": 2, "first_within_s": 2}  # lengths have four
+
+
 def summarize(
     scenario: Scenario,
     name: str,
     watch: FlightWatch,
-    figures: FormationFigures | None,
-    tracked: Tracking | None,
-    smallest_distance_m: float | None,
-    *,
-    failure: str | None,
-    flight_s: float,
-    real_time_factor: float | None = None,
-    source: TrackSource = "true",
+    end: FlightEnd,
+    flight: FormationFlight | None = None,
+    smallest_m: float | None = None,
 ) -> RunSummary:
-    """`figures`, `tracked` and `smallest_distance_m` are of the tracks from `source`; the rest is from the reports."""
-    fleet, stand_in = scenario.fleet, scenario.stand_in
+    """`flight` is None where no formation was flown; `smallest_m` is the smallest distance of two vehicles on their tracks."""
+    fleet, stand_in, is_true = scenario.fleet, scenario.stand_in, end.source == "true"
+    figures = formation_figures(flight.tracks, flight.slots, flight.reference, flight.formation) if flight else None
+    tracked = (
+        tracking(flight.tracks, flight.slots, flight.reference, flight.formation, watch.leads()) if flight else None
+    )
     sensors = stand_in.sensors if isinstance(stand_in.sensors, str) else "as given"
     slots_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles}
     weighting = law_of(fleet.law).weighting
@@ -188,25 +188,16 @@ def summarize(
         law=fleet.law.name,
         exponent=weighting.exponent,
         weight_ratio=weighting.ratio,
-        tracks=source,
-        sensors=sensors if source == "true" else None,
-        seed=stand_in.seed if source == "true" else None,
-        failure=failure,
-        flight_s=round(flight_s, 1),
-        real_time_factor=None if real_time_factor is None else round(real_time_factor, 1),
-        duration_s=round(figures.duration_s, 3) if figures else None,
+        tracks=end.source,
+        sensors=sensors if is_true else None,
+        seed=stand_in.seed if is_true else None,
+        failure=end.failure,
+        flight_s=round(end.flight_s, 1),
+        real_time_factor=_rounded(end.real_time_factor, 1),
         pairs=[pair_name(pair) for pair in neighbouring_pairs(slots_enu_m)],
-        wanted_distance_m=_rounded(figures.wanted_distance_m) if figures else None,
-        max_distance_m=_rounded(figures.max_distance_m) if figures else None,
-        min_distance_m=_rounded(figures.min_distance_m) if figures else None,
-        final_distance_m=_rounded(figures.final_distance_m) if figures else None,
-        reference_moves=figures.reference_moves if figures else None,
-        settle_s=round(figures.settle_s, 2) if figures and figures.settle_s is not None else None,
-        first_within_s=round(figures.first_within_s, 2) if figures and figures.first_within_s is not None else None,
-        least_error_m=round(figures.least_error_m, 4) if figures else None,
-        final_error_m=round(figures.final_error_m, 4) if figures else None,
+        **{figure: _rounded(getattr(figures, figure, None), DIGITS.get(figure, 4)) for figure in FIGURES},
         overload=watch.overload(),
-        smallest_distance_m=None if smallest_distance_m is None else round(smallest_distance_m, 4),
+        smallest_distance_m=_rounded(smallest_m),
         vehicles=[
             _vehicle(member.id, member.role, watch, figures, tracked)
             for member in sorted(fleet.vehicles, key=lambda member: member.id)
@@ -219,31 +210,29 @@ def summarize(
 def _vehicle(
     vehicle_id: int, role: str, watch: FlightWatch, figures: FormationFigures | None, tracked: Tracking | None
 ) -> VehicleSummary:
-    timing, step_deg = watch.timing.get(vehicle_id), watch.largest_step_deg.get(vehicle_id)
-    tick = timing and TickFigures(
-        rate_hz=timing.rate_hz, ticks=timing.ticks, missed=timing.missed, late_us=timing.late_us
-    )
+    timing = watch.timing.get(vehicle_id)
     return VehicleSummary(
         id=vehicle_id,
         role=role,
-        tick=tick or None,
+        tick=TickFigures(rate_hz=timing.rate_hz, ticks=timing.ticks, missed=timing.missed, late_us=timing.late_us)
+        if timing
+        else None,
         telemetry_to_command_us=timing.telemetry_to_command_us if timing else None,
         cpu_percent=timing.cpu_percent if timing else None,
         rss_mb=timing.rss_mb if timing else None,
-        final_error_m=round(figures.final_error_of_vehicle_m[vehicle_id], 4) if figures else None,
-        tracking_error_m=_metres(tracked.to_reference_m[vehicle_id] if tracked else None),
-        behind_leader_m=_metres(tracked.to_leader_m[vehicle_id] if tracked else None),
-        largest_step_deg=None if step_deg is None else round(step_deg, 2),
+        final_error_m=_rounded(figures.final_error_of_vehicle_m[vehicle_id] if figures else None),
+        tracking_error_m=_rounded(tracked.to_reference_m[vehicle_id] if tracked else None),
+        behind_leader_m=_rounded(tracked.to_leader_m[vehicle_id] if tracked else None),
+        largest_step_deg=_rounded(watch.largest_step_deg.get(vehicle_id), 2),
         rejected=watch.rejected()[vehicle_id],
     )
 
 
-def _metres(value_m: float | None) -> float | None:
-    return None if value_m is None else round(value_m, 4)
-
-
-def _rounded(values_m: Mapping[str, float]) -> dict[str, float]:
-    return {name: round(value_m, 4) for name, value_m in values_m.items()}
+def _rounded(value: Any, digits: int = 4) -> Any:
+    """A number, or every number of a mapping; None and a truth value stay."""
+    if isinstance(value, Mapping):
+        return {name: round(number, digits) for name, number in value.items()}
+    return value if value is None or isinstance(value, bool) else round(value, digits)
 
 
 def reference_flown(scenario: Scenario, watch: FlightWatch) -> ReferenceTrajectory:
@@ -261,7 +250,7 @@ def _flight(scenario: Scenario, watch: FlightWatch, tracks: Tracks, source: Trac
     return FormationFlight(scenario.fleet.law.name, tracks, watch.slots(), pairs, reference, watch.formation, source)
 
 
-FlyOnce = Callable[[Scenario, str, Path, StopRequest], FlightResult]  # scenario, its name, the folder for the results
+FlyOnce = Callable[[FlightOrder], FlightResult]
 Prepare = Callable[[Scenario], AbstractContextManager[FlyOnce]]
 
 
@@ -281,7 +270,7 @@ def run_flights(options: FlightOptions, prepare: Prepare) -> int:
             if not options.quiet:
                 print("".join(f"warning, {warning}\n" for warning in warnings), end="", flush=True)
             if options.others is None:
-                return _fly_one(scenario, name, folder, fly_once, stop)
+                return _fly_one(FlightOrder(scenario, name, folder, stop), fly_once)
             return _fly_laws(scenarios, name, folder, fly_once, stop)
 
 
@@ -309,10 +298,10 @@ def _convergence_warnings(scenarios: list[Scenario], anyway: bool) -> list[str]:
     return warnings
 
 
-def _fly_one(scenario: Scenario, name: str, folder: Path, fly_once: FlyOnce, stop: StopRequest) -> int:
-    result = fly_once(scenario, name, folder, stop)
-    print(f"{in_words(result.summary)}\nresults in {folder}")
-    return stop.exit_code if stop.number else _exit_code(result.summary)
+def _fly_one(order: FlightOrder, fly_once: FlyOnce) -> int:
+    result = fly_once(order)
+    print(f"{in_words(result.summary)}\nresults in {order.folder}")
+    return order.stop.exit_code if order.stop.number else _exit_code(result.summary)
 
 
 def _fly_laws(scenarios: list[Scenario], name: str, folder: Path, fly_once: FlyOnce, stop: StopRequest) -> int:
@@ -322,7 +311,7 @@ def _fly_laws(scenarios: list[Scenario], name: str, folder: Path, fly_once: FlyO
     """
     results: list[FlightResult] = []
     for scenario in scenarios:
-        result = fly_once(scenario, name, folder / scenario.fleet.law.name, stop)
+        result = fly_once(FlightOrder(scenario, name, folder / scenario.fleet.law.name, stop))
         results.append(result)
         print(in_words(result.summary) + "\n", flush=True)
         if stop.number or result.flight is None:
@@ -343,21 +332,15 @@ def run_virtual(options: FlightOptions) -> int:
     return run_flights(options, lambda _scenario: nullcontext(partial(_run_once, options)))
 
 
-def _run_once(options: FlightOptions, scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> FlightResult:
+def _run_once(options: FlightOptions, order: FlightOrder) -> FlightResult:
+    scenario, folder = order.scenario, order.folder
     folder.mkdir(parents=True, exist_ok=True)
     write_scenario(scenario, folder)
-    progress = FlightProgress(f"{name}, {scenario.fleet.law.name}", options.quiet, began_s=0.0)
+    progress = FlightProgress(f"{order.name}, {scenario.fleet.law.name}", options.quiet, began_s=0.0)
     with progress:
-        flown = fly_in_virtual_time(scenario, progress, stop, folder if options.record else None)
+        flown = fly_in_virtual_time(scenario, progress, order.stop, folder if options.record else None)
     for stand_in in flown.stand_ins:
         stand_in.write_track(truth_path(folder, stand_in.vehicle_id))
-    return write_results(
-        scenario,
-        name,
-        folder,
-        flown.watch,
-        flown.tracks(),
-        failure=flown.failure,
-        flight_s=flown.flight_s,
-        real_time_factor=flown.flight_s / flown.wall_s,
-    )
+    factor = flown.flight_s / flown.wall_s
+    end = FlightEnd(failure=flown.failure, flight_s=flown.flight_s, real_time_factor=factor)
+    return write_results(order, flown.watch, flown.tracks(), end)

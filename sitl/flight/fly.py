@@ -17,7 +17,7 @@ from companion.types.errors import EXIT_DONE, EXIT_FAILED
 from sitl.flight.director import Director
 from sitl.flight.external import ReachedVehicle, Readiness, load_external, vehicles_of
 from sitl.flight.files import estimated_path, ids_of, truth_path
-from sitl.flight.flights import FlightOptions, FlightResult, FlyOnce, run_flights, write_results
+from sitl.flight.flights import FlightEnd, FlightOptions, FlightOrder, FlightResult, FlyOnce, run_flights, write_results
 from sitl.flight.orders import REPLY_WITHIN_S, FlightFailure
 from sitl.flight.processes import FleetProcesses, publish_targets
 from sitl.flight.scenario import Scenario, load_scenario
@@ -58,10 +58,7 @@ def run_fly(options: FlightOptions) -> int:
                 endpoints = " ".join(zenoh_endpoint(i, offset) for i in ids_of(scenario))
                 print(f"all ports are offset by {offset}: companion monitor --connect {endpoints}", flush=True)
 
-            def fly_once(scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> FlightResult:
-                return _Flight(scenario, name, folder, options.quiet, offset, external, stop).result()
-
-            yield fly_once
+            yield lambda order: _Flight(order, options.quiet, offset, external).result()
 
     return run_flights(options, prepare)
 
@@ -75,20 +72,12 @@ def _external(options: FlightOptions, scenario: Scenario) -> External | None:
 class _Flight:
     """One scenario flown with processes. With `external` autopilots there are no stand-ins."""
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        name: str,
-        folder: Path,
-        quiet: bool,
-        port_offset: int,
-        external: External | None,
-        stop: StopRequest,
-    ) -> None:
-        self._scenario, self._name, self._folder = scenario, name, folder
-        self._port_offset, self._external, self._stop = port_offset, external, stop
-        self._watch = watch_of(scenario, time.monotonic())
-        self._progress = FlightProgress(f"{name}, {scenario.fleet.law.name}", quiet, self._watch.began_s)
+    def __init__(self, order: FlightOrder, quiet: bool, port_offset: int, external: External | None) -> None:
+        self._order, self._scenario, self._folder = order, order.scenario, order.folder
+        self._port_offset, self._external = port_offset, external
+        self._watch = watch_of(order.scenario, time.monotonic())
+        title = f"{order.name}, {order.scenario.fleet.law.name}"
+        self._progress = FlightProgress(title, quiet, self._watch.began_s)
 
     def result(self) -> FlightResult:
         """Fly and write the folder."""
@@ -100,16 +89,8 @@ class _Flight:
         except TrackError as error:
             failure = failure or str(error)
         source: TrackSource = "true" if self._external is None else "estimated"
-        return write_results(
-            self._scenario,
-            self._name,
-            self._folder,
-            self._watch,
-            tracks,
-            failure=failure,
-            flight_s=flight_s,
-            source=source,
-        )
+        end = FlightEnd(failure=failure, flight_s=flight_s, source=source)
+        return write_results(self._order, self._watch, tracks, end)
 
     def _true_tracks(self) -> Tracks:
         return {i: read_track(truth_path(self._folder, i)) for i in ids_of(self._scenario)}
@@ -133,8 +114,8 @@ class _Flight:
                 targets = publish_targets(self._scenario, endpoints, self._watch.began_s, stack)
 
                 def check() -> None:
-                    if self._stop.number:
-                        raise FlightFailure(f"interrupted by {self._stop.number.name}")
+                    if self._order.stop.number:
+                        raise FlightFailure(f"interrupted by {self._order.stop.number.name}")
                     if ending := fleet.unexpected_end():
                         raise FlightFailure(ending)
                     targets.update(time.monotonic())

@@ -110,7 +110,8 @@ class World:
     def __init__(self, files: Sequence[AutopilotFile], links: Links) -> None:
         self.now_s = 0.0
         self._steps = 0
-        self.stand_ins = [VirtualStandIn(file, links, start_phase_s(file)) for file in files]
+        phases_s = [phase_steps(file.stand_in.seed, file.id) * DT_S for file in files]
+        self.stand_ins = [VirtualStandIn(file, links, phase_s) for file, phase_s in zip(files, phases_s, strict=True)]
 
     def step(self) -> None:
         """One step of DT_S."""
@@ -123,9 +124,9 @@ class World:
                 stand_in.record(self.now_s)
 
 
-def start_phase_s(file: AutopilotFile) -> float:
-    """Phase of a vehicle's telemetry within its period; agents do not tick together by design."""
-    return Random(f"{file.stand_in.seed} {file.id} phase").randrange(TELEMETRY_STEPS) * DT_S
+def phase_steps(seed: int, vehicle_id: int) -> int:
+    """Step within its period in which a vehicle's telemetry is sampled; agents do not tick together by design."""
+    return Random(f"{seed} {vehicle_id} phase").randrange(TELEMETRY_STEPS)
 
 
 class Lockstep:

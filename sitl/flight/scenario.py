@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from math import inf
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated
 
@@ -337,14 +338,8 @@ def _agent_ends(scenario: Scenario) -> Iterator[Problem]:
 def _vehicles_named(scenario: Scenario) -> Iterator[Problem]:
     """Own origins, estimator resets, pilots and all else by vehicle must be those of vehicles of the fleet."""
     named = [(vehicle_id, f"origins_enu_m.{vehicle_id}") for vehicle_id in sorted(scenario.origins_enu_m)]
-    for index, reset in enumerate(scenario.stand_in.estimator_resets):
-        named.append((reset.vehicle, f"stand_in.estimator_resets[{index}].vehicle"))
-    for index, level in enumerate(scenario.stand_in.batteries):
-        named.append((level.vehicle, f"stand_in.batteries[{index}].vehicle"))
-    for index, pilot in enumerate(scenario.stand_in.pilots):
-        named.append((pilot.vehicle, f"stand_in.pilots[{index}].vehicle"))
-    for index, end in enumerate(scenario.agent_ends):
-        named.append((end.vehicle, f"agent_ends[{index}].vehicle"))
+    for key in ("stand_in.estimator_resets", "stand_in.batteries", "stand_in.pilots", "agent_ends"):
+        named += [(item.vehicle, f"{key}[{index}].vehicle") for index, item in enumerate(attrgetter(key)(scenario))]
     for index, partition in enumerate(scenario.links.partitions):
         named += [(vehicle_id, f"links.partitions[{index}].vehicles") for vehicle_id in partition.vehicles]
     for vehicle_id, where in named:

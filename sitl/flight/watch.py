@@ -40,9 +40,8 @@ class FlightWatch:
         self.formations: list[Formation] = []  # all in formation at once, in the order in which they were flown
         # Of each vehicle: time and estimated position, while armed, times rising.
         self.reported: dict[int, list[tuple[float, Vector3]]] = {vehicle_id: [] for vehicle_id in self.vehicle_ids}
-        self.led_enu_m: list[
-            tuple[float, Vector3]
-        ] = []  # r as leaders in formation reported it, by the time of the report
+        # r as leaders in formation reported it, by the time of the report.
+        self.led_enu_m: list[tuple[float, Vector3]] = []
         self.slot_moved_s: dict[int, float] = {}  # when the slot of a vehicle last moved within the formation
         self._slots: dict[int, list[tuple[float, Vector3]]] = {vehicle_id: [] for vehicle_id in self.vehicle_ids}
         self.reference: list[tuple[float, Vector3]] = []  # r as leaders reported it, by mission time

@@ -49,15 +49,14 @@ def rates_hz(kind: AutopilotKind) -> dict[int, float]:
     return {M.MAVLINK_MSG_ID_HEARTBEAT: 1.0} | asked
 
 
-def _heartbeat(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
-    return (HeartbeatSample(received_s, autopilot.armed, autopilot.kind), *_mode(autopilot, received_s))
+Samples = tuple[Telemetry, ...]
 
 
-def _mode(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+def _mode(autopilot: Autopilot, received_s: float) -> Samples:
     return (ModeSample(received_s, *DIALECTS[autopilot.kind].mode_of(autopilot.mode.custom_mode)),)
 
 
-def _position(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+def _position(autopilot: Autopilot, received_s: float) -> Samples:
     if not autopilot.has_position:
         return ()
     x, y, z, vx, vy, vz = _FLOATS.unpack(
@@ -66,49 +65,29 @@ def _position(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
     return (PositionSample(received_s, autopilot.boot_ms / 1000.0, (x, y, z), (vx, vy, vz)),)
 
 
-def _attitude(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
-    """Without the 32-bit quaternion, which changes it by less than a microradian."""
-    return (AttitudeSample(received_s, *autopilot.quad.estimated_euler_rad()),)
-
-
-def _thrust(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+def _thrust(autopilot: Autopilot, received_s: float) -> Samples:
     (thrust_norm,) = _FLOAT.unpack(_FLOAT.pack(autopilot.setpoint.thrust_norm))
     return (ThrustSample(received_s, thrust_norm),)
 
 
-def _landed(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
-    return (LandedSample(received_s, LandedState(autopilot.landed_state)),)
-
-
-def _system(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
-    return (SystemSample(received_s, float(autopilot.battery_percent), autopilot.armable),)
-
-
-def _global_position(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
-    return (telemetry.global_position(global_position(autopilot), received_s),)
-
-
-def _gps_error(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
-    return (telemetry.gps_error(gps_raw(autopilot), received_s),)
-
-
-def _error(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+def _error(autopilot: Autopilot, received_s: float) -> Samples:
     healthy = telemetry.estimator_status(estimator_status(autopilot), received_s).healthy
     horizontal_m, vertical_m = _TWO_FLOATS.unpack(_TWO_FLOATS.pack(*autopilot.quad.reported_error_m))
     return (EstimatorSample(received_s, horizontal_m, vertical_m, healthy),)
 
 
-SAMPLES: dict[int, Callable[[Autopilot, float], tuple[Telemetry, ...]]] = {
-    M.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
+# The attitude is without the 32-bit quaternion, which changes it by less than a microradian.
+SAMPLES: dict[int, Callable[[Autopilot, float], Samples]] = {
+    M.MAVLINK_MSG_ID_HEARTBEAT: lambda own, at_s: (HeartbeatSample(at_s, own.armed, own.kind), *_mode(own, at_s)),
     M.MAVLINK_MSG_ID_CURRENT_MODE: _mode,
     M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _position,
-    M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude,
+    M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: lambda own, at_s: (AttitudeSample(at_s, *own.quad.estimated_euler_rad()),),
     M.MAVLINK_MSG_ID_ATTITUDE_TARGET: _thrust,
-    M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _landed,
-    M.MAVLINK_MSG_ID_SYS_STATUS: _system,
-    M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
+    M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda own, at_s: (LandedSample(at_s, LandedState(own.landed_state)),),
+    M.MAVLINK_MSG_ID_SYS_STATUS: lambda own, at_s: (SystemSample(at_s, float(own.battery_percent), own.armable),),
+    M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: lambda own, at_s: (telemetry.global_position(global_position(own), at_s),),
     M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _error,
-    M.MAVLINK_MSG_ID_GPS_RAW_INT: _gps_error,
+    M.MAVLINK_MSG_ID_GPS_RAW_INT: lambda own, at_s: (telemetry.gps_error(gps_raw(own), at_s),),
 }
 
 

@@ -15,14 +15,13 @@ from __future__ import annotations
 import asyncio
 import selectors
 import signal
-import socket
 import sys
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from functools import partial
 from itertools import permutations
 from pathlib import Path as FilePath
-from typing import Annotated
+from typing import Annotated, cast
 
 from msgspec import Meta
 
@@ -38,7 +37,7 @@ LONGEST_TIMEOUT_S = 120.0
 WAITING_BYTES = 1 << 20  # then the sender is no longer read
 
 Connect = Callable[[], Awaitable[asyncio.StreamWriter]]
-DATAGRAM_BYTES = 65_535
+Address = tuple[str, int]
 
 
 class StreamDirection:
@@ -106,27 +105,19 @@ class StreamDirection:
                 writer.close()
 
 
-class EmulatedDatagrams:
-    """Listens on `front` and forwards to `back`, where the receiver listens. Flight time begins at `epoch_s` of the loop."""
+class EmulatedDatagrams(asyncio.DatagramProtocol):
+    """Forwards what it receives to `back`, where the receiver listens. Flight time begins at `epoch_s` of the loop."""
 
-    def __init__(self, front: tuple[str, int], back: tuple[str, int], path: Path, epoch_s: float) -> None:
-        """Raises OSError where `front` cannot be bound."""
+    def __init__(self, back: Address, path: Path, epoch_s: float) -> None:
         self._loop = asyncio.get_running_loop()
         self._back, self._path, self._epoch_s = back, path, epoch_s
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(front)
-        self._socket.setblocking(False)
-        self._loop.add_reader(self._socket, self._readable)
 
-    def _readable(self) -> None:
-        with suppress(OSError):  # ICMP error: the receiver does not listen yet
-            data = self._socket.recv(DATAGRAM_BYTES)
-            for arrives_s in self._path.arrivals_s(self._loop.time() - self._epoch_s):
-                self._loop.call_at(self._epoch_s + arrives_s, self._deliver, data)
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.DatagramTransport, transport)  # asyncio's own is no subclass in Python 3.11
 
-    def _deliver(self, data: bytes) -> None:
-        with suppress(OSError):
-            self._socket.sendto(data, self._back)
+    def datagram_received(self, data: bytes, _addr: object) -> None:
+        for arrives_s in self._path.arrivals_s(self._loop.time() - self._epoch_s):
+            self._loop.call_at(self._epoch_s + arrives_s, self._transport.sendto, data, self._back)
 
 
 class NetworkFile(Section, frozen=True):
@@ -151,7 +142,6 @@ class EmulatedNetwork:
         self._file = file
         self._network = load(file, NetworkFile)
         self._paths: dict[tuple[int, int], Path] = {}
-        self._connections: set[asyncio.Task[None]] = set()
         self._epoch_s = 0.0
 
     async def run(self) -> None:
@@ -169,31 +159,15 @@ class EmulatedNetwork:
         await ended.wait()
 
     async def _listen(self, sender: int, receiver: int) -> None:
-        there, here = self._paths[sender, receiver], self._paths[receiver, sender]
+        there, here, epoch_s = self._paths[sender, receiver], self._paths[receiver, sender], self._epoch_s
         port = ports_of(receiver, self._network.port_offset).zenoh
         front, back = (emulated_host(receiver, sender), port), (LOOPBACK, port)
-        EmulatedDatagrams(front, back, there, self._epoch_s)
-        await asyncio.start_server(partial(self._accept, back, there, here), *front)
+        loop = asyncio.get_running_loop()
+        await loop.create_datagram_endpoint(lambda: EmulatedDatagrams(back, there, epoch_s), front)
+        await asyncio.start_server(partial(self._carry, back, there, here), *front)
 
-    def _accept(
-        self,
-        back: tuple[str, int],
-        there: Path,
-        here: Path,
-        reader: asyncio.StreamReader,
-        writer: asyncio.StreamWriter,
-    ) -> None:
-        task = asyncio.get_running_loop().create_task(self._connect(back, there, here, reader, writer))
-        self._connections.add(task)
-        task.add_done_callback(self._connections.discard)
-
-    async def _connect(
-        self,
-        back: tuple[str, int],
-        there: Path,
-        here: Path,
-        reader: asyncio.StreamReader,
-        writer: asyncio.StreamWriter,
+    async def _carry(
+        self, back: Address, there: Path, here: Path, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
         """Carry one connection. Its far end is opened when the first segment arrives there."""
         answers: list[asyncio.Task[None]] = []

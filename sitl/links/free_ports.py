@@ -42,7 +42,7 @@ def _first_free_offset(
     first_error: PortInUseError | None = None
     for offset in offsets:
         try:
-            ports = _ports_of_fleet(vehicle_ids, kind, offset)
+            ports = [port for i in vehicle_ids for port in _ports_of_vehicle(i, kind, offset)]
             _check(ports, offset)
             _lock(ports, offset, file)
         except PortInUseError as error:
@@ -51,20 +51,6 @@ def _first_free_offset(
             return offset
     assert first_error is not None  # there is at least one offset
     raise first_error
-
-
-def check_ports(vehicle_ids: Iterable[int], kind: AutopilotKind, port_offset: int) -> None:
-    """Try to bind every port of these vehicles, stand-ins and agents. Raises PortInUseError."""
-    _check(_ports_of_fleet(vehicle_ids, kind, port_offset), port_offset)
-
-
-def check_agents_ports(vehicle_ids: Iterable[int], port_offset: int) -> None:
-    """Try to bind the agents' ports; those of external autopilots are not chosen here. Raises PortInUseError."""
-    _check(_ports_of_fleet(vehicle_ids, None, port_offset), port_offset)
-
-
-def _ports_of_fleet(vehicle_ids: Iterable[int], kind: AutopilotKind | None, port_offset: int) -> list[WantedPort]:
-    return [port for i in vehicle_ids for port in _ports_of_vehicle(i, kind, port_offset)]
 
 
 def _ports_of_vehicle(vehicle_id: int, kind: AutopilotKind | None, port_offset: int) -> Iterator[WantedPort]:

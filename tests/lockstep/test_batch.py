@@ -14,10 +14,9 @@ from common import ROOT
 from companion.analysis.interaction import FloatArray
 from companion.types.flight import Role
 from sitl.autopilots.autopilot import DT_S
-from sitl.batch.columns import phase_steps
 from sitl.batch.flight import BatchStart, fly_batch
 from sitl.batch.metrics import batch_figures
-from sitl.flight.lockstep import TELEMETRY_STEPS
+from sitl.flight.lockstep import TELEMETRY_STEPS, phase_steps
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.virtual_flight import Flown, fly_without_landing
 from sitl.report.metrics import Formation, formation_figures, stand_at

@@ -29,19 +29,8 @@ from sitl.autopilots.logs import StandInLogs
 from sitl.autopilots.parameters import load_data
 from sitl.vehicle.automatic_flight import LEAST_COS_TILT, Course, Speeds, Task, cos_tilt
 from sitl.vehicle.config import AutopilotFile
-from sitl.vehicle.control import AttitudeSetpoint, Loops
+from sitl.vehicle.control import AttitudeSetpoint
 
-# A roll step of 10 degrees reaches 10, 50 and 90 % after 70, 170 and 382 ms without overshoot; a yaw step of 60 degrees
-# reaches 90 % after 0.94 s.
-ARDUPILOT_LOOPS = Loops(
-    tilt_gain_1_s=5.5,
-    yaw_gain_1_s=2.2,
-    rate_gain_1_s=28.0,
-    yaw_rate_gain_1_s=9.0,
-    delay_s=0.004,
-    max_rate_rad_s=3.84,
-    max_yaw_rate_rad_s=1.9,
-)
 THRUST_INSTEAD_OF_CLIMB_RATE = 8  # of GUID_OPTIONS
 SPOOLED_UP_AFTER_S = 2.7  # from arming; before, it does not lift off
 RUN_UP_S = 1.3  # of a take-off, from its command
@@ -66,8 +55,6 @@ class ArduCopter(Autopilot):
 
     kind = AutopilotKind.ARDUPILOT
     data = load_data(Path(__file__).parent)
-    loops = ARDUPILOT_LOOPS
-    braking_m_s2 = 0.55
     mode: CopterMode
 
     def __init__(self, file: AutopilotFile, dt_s: float) -> None:

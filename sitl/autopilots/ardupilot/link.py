@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from math import isfinite, isnan, nan
 
 from companion.geometry.frames import (
@@ -17,7 +18,7 @@ from companion.types.values import ZERO3, Vector3
 from sitl.autopilots.ardupilot.autopilot import ArduCopter, SigningSetup
 from sitl.autopilots.ardupilot.logs import ArduPilotLogTransfer
 from sitl.autopilots.ardupilot.modes import CopterMode
-from sitl.autopilots.autopilot import CRITICAL, INFO, WARNING, Autopilot, AutopilotAbortedError
+from sitl.autopilots.autopilot import CRITICAL, INFO, WARNING, AutopilotAbortedError
 from sitl.autopilots.link_end import (
     ACCEPTED,
     DENIED,
@@ -28,13 +29,11 @@ from sitl.autopilots.link_end import (
     IGNORE_RATES,
     IGNORE_THROTTLE,
     IGNORE_VELOCITY,
-    IGNORE_YAW,
-    IGNORE_YAW_RATE,
-    Answers,
     AutopilotType,
     LinkEnd,
     Receiver,
     Schedule,
+    turn_of,
 )
 from sitl.autopilots.parameters import rates_by_id
 from sitl.vehicle.automatic_flight import Course
@@ -69,21 +68,6 @@ def setpoint_of(message: MavlinkMessage) -> AttitudeSetpoint | None:
     return AttitudeSetpoint(quaternion_from_euler(*euler), message.thrust, yaw_rate_rad_s=rates[2])
 
 
-def course_of(message: MavlinkMessage) -> Course | None:
-    """The course, None to stop. A position or velocity is given with all axes or none; accelerations are not followed."""
-    mask = message.type_mask
-    position = NO_VECTOR if mask & sum(IGNORE_POSITION) else enu_from_ned((message.x, message.y, message.z))
-    velocity = NO_VECTOR if mask & sum(IGNORE_VELOCITY) else enu_from_ned((message.vx, message.vy, message.vz))
-    if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED or (position is NO_VECTOR and velocity is NO_VECTOR):
-        return None
-    return Course(
-        position,
-        velocity,
-        nan if mask & IGNORE_YAW else euler_enu_from_ned(0.0, 0.0, message.yaw)[2],
-        0.0 if mask & IGNORE_YAW_RATE else flu_from_frd((0.0, 0.0, message.yaw_rate))[2],
-    )
-
-
 class ArduPilotReceiver(Receiver):
     """Incoming messages of one link. The sender is not checked, and of the target only the system."""
 
@@ -110,12 +94,18 @@ class ArduPilotReceiver(Receiver):
         return setpoint_of(message)
 
     def _course_of(self, message: MavlinkMessage) -> Course | None:
-        return course_of(message)
+        """A position or velocity is given with all axes or none; accelerations are not followed."""
+        mask = message.type_mask
+        position = NO_VECTOR if mask & sum(IGNORE_POSITION) else enu_from_ned((message.x, message.y, message.z))
+        velocity = NO_VECTOR if mask & sum(IGNORE_VELOCITY) else enu_from_ned((message.vx, message.vy, message.vz))
+        if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED or (position is NO_VECTOR and velocity is NO_VECTOR):
+            return None
+        return Course(position, velocity, *turn_of(message))
 
     def _mode_parameters(self, custom_mode: int) -> tuple[float, ...]:
         return (float(custom_mode),)
 
-    def _setup_signing(self, message: MavlinkMessage) -> Answers:
+    def _setup_signing(self, message: MavlinkMessage) -> None:
         """No answer; from then on every link is signed. A key and a timestamp of zeros end signing."""
         key = bytes(message.secret_key)
         if self._copter.armed:
@@ -124,7 +114,6 @@ class ArduPilotReceiver(Receiver):
             self._copter.signing = None
         else:
             self._copter.signing = SigningSetup(key, message.initial_timestamp, self._copter.time_s)
-        yield from ()
 
     # ------------------------------------------------------------ commands
 
@@ -214,12 +203,5 @@ def codec_of(copter: ArduCopter, link_id: int) -> MavlinkCodec:
     return MavlinkCodec(copter.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, key)
 
 
-def _link(link_id: int) -> Callable[[Autopilot], LinkEnd]:
-    def end_of(copter: Autopilot) -> LinkEnd:
-        assert isinstance(copter, ArduCopter)
-        return ArduPilotLinkEnd(copter, link_id)
-
-    return end_of
-
-
-ARDUPILOT = AutopilotType(ArduCopter, ArduCopter.data, onboard_link=_link(1), ground_link=_link(2), tcp_link=_link(0))
+_onboard, _ground, _tcp = (partial(ArduPilotLinkEnd, link_id=link_id) for link_id in (1, 2, 0))
+ARDUPILOT = AutopilotType(ArduCopter, _onboard, _ground, _tcp)

@@ -6,14 +6,14 @@ It answers only on the ground, on one link at a time, with a few packets per loo
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from math import degrees
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from sitl.autopilots.autopilot import ERROR, INFO, Autopilot
-from sitl.autopilots.logs import CHUNK_BYTES, LogTransfer, log_data
+from sitl.autopilots.logs import CHUNK_BYTES, Answers, Handler, log_data, log_requests
 from sitl.autopilots.messages import attitude, global_position
 
 HEAD = b"\xa3\x95"
@@ -67,14 +67,12 @@ class LogService:
     refusal_sent: bool = False
 
 
-class ArduPilotLogTransfer(LogTransfer):
+class ArduPilotLogTransfer:
     """Log transfer on one link. Ids count from 1. `text` makes the STATUSTEXT of this link alone."""
 
-    def __init__(
-        self, copter: Autopilot, service: LogService, text: Callable[[int, str], Iterator[MavlinkMessage]]
-    ) -> None:
-        super().__init__()
-        self.requests = {name: partial(self._on_ground, handle) for name, handle in self.requests.items()}
+    def __init__(self, copter: Autopilot, service: LogService, text: Callable[[int, str], Answers]) -> None:
+        handlers = (partial(self._on_ground, handle) for handle in (self._list, self._data, self._end, self._erase))
+        self.requests = log_requests(*handlers)
         self._copter = copter
         self._service = service
         self._text = text
@@ -82,7 +80,7 @@ class ArduPilotLogTransfer(LogTransfer):
         self._is_listing = False
         self._sent_id, self._sent_bytes, self._left_bytes = 0, 0, 0
 
-    def due(self) -> Iterator[MavlinkMessage]:
+    def due(self) -> Answers:
         for _ in range(ENTRIES_PER_STEP if self._is_listing else PACKETS_PER_STEP):
             if self._service.link is not self or self._copter.armed:
                 return
@@ -117,18 +115,16 @@ class ArduPilotLogTransfer(LogTransfer):
 
     # ------------------------------------------------------------ requests
 
-    def _on_ground(
-        self, handle: Callable[[MavlinkMessage], Iterator[MavlinkMessage]], request: MavlinkMessage
-    ) -> Iterator[MavlinkMessage]:
+    def _on_ground(self, handle: Handler, request: MavlinkMessage) -> Answers:
         """Armed, requests are refused; the text is sent once until a request comes while disarmed."""
         if not self._copter.armed:
             self._service.refusal_sent = False
-            yield from handle(request)
+            yield from handle(request) or ()
         elif not self._service.refusal_sent:
             self._service.refusal_sent = True
             yield from self._text(ERROR, "Disarm for log download")
 
-    def _list(self, request: MavlinkMessage) -> Iterator[MavlinkMessage]:
+    def _list(self, request: MavlinkMessage) -> Answers:
         if self._service.link is not None:
             yield from self._text(INFO, "Log download in progress")
         else:
@@ -138,7 +134,7 @@ class ArduPilotLogTransfer(LogTransfer):
             self._is_listing = True
             self._service.link = self
 
-    def _data(self, request: MavlinkMessage) -> Iterator[MavlinkMessage]:
+    def _data(self, request: MavlinkMessage) -> Answers:
         served = self._service.link
         if served is not None:  # a request on the same link is dropped silently
             if served is not self:
@@ -151,13 +147,12 @@ class ArduPilotLogTransfer(LogTransfer):
             self._service.link = self
             self._copter.flight_logs.pause()  # it does not write logs while it reads them
 
-    def _end(self, _request: MavlinkMessage) -> Iterator[MavlinkMessage]:
+    def _end(self, _request: MavlinkMessage) -> None:
         self._stop_serving()
-        yield from ()
 
-    def _erase(self, request: MavlinkMessage) -> Iterator[MavlinkMessage]:
+    def _erase(self, request: MavlinkMessage) -> None:
         self._copter.flight_logs.erase()
-        yield from self._end(request)
+        self._end(request)
 
     def _stop_serving(self) -> None:
         self._service.link = None

@@ -25,7 +25,7 @@ from sitl.autopilots.parameters import BytewiseParameters, load_data
 from sitl.autopilots.px4.logs import ULog
 from sitl.vehicle.automatic_flight import Contact, Course, Speeds, Task
 from sitl.vehicle.config import AutopilotFile
-from sitl.vehicle.control import AttitudeSetpoint, Loops
+from sitl.vehicle.control import AttitudeSetpoint
 
 
 class Px4Mode(Enum):
@@ -81,17 +81,6 @@ OFFBOARD_LOSS: dict[int, Px4Mode | None] = {
 # NAV_DLL_ACT: where it goes when the ground station is lost. 0 is nowhere.
 GROUND_STATION_LOSS: dict[int, Px4Mode | None] = {1: Px4Mode.LOITER, 2: Px4Mode.RTL, 3: Px4Mode.LAND, 5: None, 6: None}
 
-# A roll step of 10 degrees reaches 10, 50 and 90 % after 117, 198 and 278 ms and overshoots by 1.5 degrees; a yaw step of 60
-# degrees reaches 90 % after 0.81 s, at 109 deg/s at most. The gains correspond to MC_ROLL_P, MC_YAW_P and the rate gains.
-PX4_LOOPS = Loops(
-    tilt_gain_1_s=6.5,
-    yaw_gain_1_s=2.5,
-    rate_gain_1_s=12.5,
-    yaw_rate_gain_1_s=7.5,
-    delay_s=0.028,
-    max_rate_rad_s=radians(220.0),
-    max_yaw_rate_rad_s=radians(109.0),
-)
 FAILSAFE_PERIOD_S = 0.1  # the check for lost streams; so the largest delay of a failsafe
 STREAM_LOST_GRACE_S = 0.01  # with the period, a lost stream is detected after 1.01 to 1.12 s
 STREAM_BACK_AFTER_S = 0.03  # a stream that returns counts after this time
@@ -114,8 +103,6 @@ class Px4(Autopilot):
 
     kind = AutopilotKind.PX4
     data = load_data(Path(__file__).parent)
-    loops = PX4_LOOPS
-    braking_m_s2 = 1.5
     parameters_type = BytewiseParameters
     mode: Px4Mode
     intended_mode: Px4Mode

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from math import inf, isfinite, nan, sqrt
 
 from companion.geometry.frames import (
@@ -16,7 +17,7 @@ from companion.geometry.frames import (
 )
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.types.values import Vector3
-from sitl.autopilots.autopilot import CRITICAL, Autopilot
+from sitl.autopilots.autopilot import CRITICAL
 from sitl.autopilots.link_end import (
     ACCEPTED,
     DENIED,
@@ -27,17 +28,16 @@ from sitl.autopilots.link_end import (
     IGNORE_RATES,
     IGNORE_THROTTLE,
     IGNORE_VELOCITY,
-    IGNORE_YAW,
-    IGNORE_YAW_RATE,
     LATER,
     NO_COORDINATE,
     UNSUPPORTED,
-    Answers,
     AutopilotType,
     LinkEnd,
     Receiver,
     Schedule,
+    turn_of,
 )
+from sitl.autopilots.logs import Answers
 from sitl.autopilots.parameters import message_ids, rates_by_id
 from sitl.autopilots.px4.autopilot import Px4, Px4Mode
 from sitl.autopilots.px4.logs import Px4LogTransfer
@@ -78,23 +78,6 @@ def setpoint_of(message: MavlinkMessage, attitude: Quaternion) -> AttitudeSetpoi
     return AttitudeSetpoint(
         quaternion_from_euler(*euler), thrust, yaw_rate_rad_s=rates[2]
     )  # fed forward, about the vertical
-
-
-def course_of(message: MavlinkMessage) -> Course | None:
-    """The course of a SET_POSITION_TARGET_LOCAL_NED, None without one. Accelerations are not followed."""
-    mask = message.type_mask
-    position = _given((message.x, message.y, message.z), IGNORE_POSITION, mask)
-    velocity = _given((message.vx, message.vy, message.vz), IGNORE_VELOCITY, mask)
-    if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED or not any(map(isfinite, (*position, *velocity))):
-        return None
-    no_yaw = mask & IGNORE_YAW or not isfinite(message.yaw)
-    no_rate = mask & IGNORE_YAW_RATE or not isfinite(message.yaw_rate)
-    return Course(
-        enu_from_ned(position),
-        enu_from_ned(velocity),
-        nan if no_yaw else euler_enu_from_ned(0.0, 0.0, message.yaw)[2],
-        0.0 if no_rate else flu_from_frd((0.0, 0.0, message.yaw_rate))[2],
-    )
 
 
 def _given(values: Vector3, ignored: tuple[int, int, int], mask: int) -> Vector3:
@@ -215,17 +198,24 @@ class Px4Receiver(Receiver):
         return setpoint_of(message, self._px4.quad.estimated_quaternion())
 
     def _course_of(self, message: MavlinkMessage) -> Course | None:
-        return course_of(message)
+        """Accelerations are not followed."""
+        mask = message.type_mask
+        position = _given((message.x, message.y, message.z), IGNORE_POSITION, mask)
+        velocity = _given((message.vx, message.vy, message.vz), IGNORE_VELOCITY, mask)
+        if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED or not any(map(isfinite, (*position, *velocity))):
+            return None
+        yaw_rad, yaw_rate_rad_s = turn_of(message)
+        yaw_rate_rad_s = yaw_rate_rad_s if isfinite(yaw_rate_rad_s) else 0.0
+        return Course(enu_from_ned(position), enu_from_ned(velocity), yaw_rad, yaw_rate_rad_s)
 
     def _mode_parameters(self, custom_mode: int) -> tuple[float, ...]:
         return (custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF)
 
-    def _set_origin(self, message: MavlinkMessage) -> Answers:
+    def _set_origin(self, message: MavlinkMessage) -> None:
         """Every link then sends the new origin. The stand-in's world is flat, so distant origins are rejected."""
         origin = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
         if max(map(abs, enu_from_geodetic(*origin, self._px4.quad.world_origin))) <= MAX_DISTANCE_M:
             self._px4.set_origin(origin)
-        yield from ()
 
     # ------------------------------------------------------------ commands
 
@@ -311,14 +301,8 @@ class Px4LinkEnd(LinkEnd):
         return self._sends_all
 
 
-def onboard_link(px4: Autopilot) -> LinkEnd:
-    assert isinstance(px4, Px4)
-    return Px4LinkEnd(px4, ONBOARD_RATES_HZ, {})
-
-
-def ground_link(px4: Autopilot) -> LinkEnd:
-    assert isinstance(px4, Px4)
-    return Px4LinkEnd(px4, HEARTBEAT_ONLY, GROUND_RATES_HZ)
-
-
-PX4 = AutopilotType(Px4, DATA, onboard_link, ground_link)
+PX4 = AutopilotType(
+    Px4,
+    onboard_link=partial(Px4LinkEnd, rates_hz=ONBOARD_RATES_HZ, connected_rates_hz={}),
+    ground_link=partial(Px4LinkEnd, rates_hz=HEARTBEAT_ONLY, connected_rates_hz=GROUND_RATES_HZ),
+)

@@ -6,12 +6,11 @@ It does not answer without logs, answers also in the air, and sends all requeste
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from sitl.autopilots.autopilot import Autopilot
-from sitl.autopilots.logs import CHUNK_BYTES, LogTransfer, log_data
+from sitl.autopilots.logs import CHUNK_BYTES, Answers, log_data, log_requests
 from sitl.autopilots.messages import attitude_quaternion, local_position
 
 MAGIC = b"ULog\x01\x12\x35\x01"
@@ -66,17 +65,17 @@ class Listed:
     utc_s: int
 
 
-class Px4LogTransfer(LogTransfer):
+class Px4LogTransfer:
     """Log transfer on one link. Ids count from 0; the list ends with the last log, whatever end was requested."""
 
     def __init__(self, px4: Autopilot) -> None:
-        super().__init__()
+        self.requests = log_requests(self._list, self._data, self._end, self._erase)
         self._px4 = px4
         self._listed: list[Listed] = []
         self._entries: list[MavlinkMessage] = []  # to be sent
         self._sent_id, self._sent_bytes, self._until_bytes = 0, 0, 0
 
-    def due(self) -> Iterator[MavlinkMessage]:
+    def due(self) -> Answers:
         yield from self._entries
         self._entries = []
         while self._sent_bytes < self._until_bytes:
@@ -85,7 +84,7 @@ class Px4LogTransfer(LogTransfer):
             yield log_data(self._sent_id, self._sent_bytes, content)
             self._sent_bytes += len(content)
 
-    def _list(self, request: MavlinkMessage) -> Iterator[MavlinkMessage]:
+    def _list(self, request: MavlinkMessage) -> None:
         logs = self._px4.flight_logs
         self._listed = [Listed(log.content, len(log.content), logs.utc_s(log.written_s)) for log in logs.files]
         self._until_bytes = 0
@@ -95,21 +94,18 @@ class Px4LogTransfer(LogTransfer):
             mavlink.MAVLink_log_entry_message(i, number, last, self._listed[i].utc_s, self._listed[i].size_bytes)
             for i in range(request.start, number)
         ]
-        yield from ()
 
-    def _data(self, request: MavlinkMessage) -> Iterator[MavlinkMessage]:
+    def _data(self, request: MavlinkMessage) -> None:
         """The last packet is as long as the log allows, also beyond the requested count."""
         self._entries, self._until_bytes = [], 0
         if request.id < len(self._listed):
             self._sent_id, self._sent_bytes = request.id, request.ofs
             self._until_bytes = min(request.ofs + request.count, self._listed[request.id].size_bytes)
-        yield from ()
 
-    def _end(self, _request: MavlinkMessage) -> Iterator[MavlinkMessage]:
+    def _end(self, _request: MavlinkMessage) -> None:
         self._entries, self._until_bytes = [], 0
-        yield from ()
 
-    def _erase(self, request: MavlinkMessage) -> Iterator[MavlinkMessage]:
+    def _erase(self, request: MavlinkMessage) -> None:
         self._px4.flight_logs.erase()
         self._listed = []
-        yield from self._end(request)
+        self._end(request)

@@ -9,7 +9,7 @@ import pytest
 from companion.geometry.frames import euler_from_quaternion, quaternion_from_euler
 from companion.mavlink.codec import MavlinkMessage
 from companion.types.autopilot import AutopilotKind
-from sitl.autopilots.ardupilot.autopilot import ARDUPILOT_LOOPS, ArduCopter
+from sitl.autopilots.ardupilot.autopilot import ArduCopter
 from sitl.autopilots.ardupilot.modes import CopterMode
 from sitl.autopilots.autopilot import AutopilotAbortedError
 from sitl.vehicle.config import AutopilotFile, StandIn
@@ -41,7 +41,7 @@ def step_ms(axis: int, step_deg: float) -> tuple[dict[int, float], float]:
     file = AutopilotFile(
         start_enu_m=(0.0, 0.0, 0.0), stand_in=StandIn(autopilot=AutopilotKind.ARDUPILOT, sensors="ideal")
     )
-    quad = Quadrotor(file, ARDUPILOT_LOOPS, COPTER_DT_S, ArduCopter.data.hover_thrust_norm)
+    quad = Quadrotor(file, ArduCopter.data.loops, COPTER_DT_S, ArduCopter.data.hover_thrust_norm)
     for _ in range(250):
         quad.step(AttitudeSetpoint(quaternion_from_euler(0.0, 0.0, 0.0), 0.6))
     angles = [0.0, 0.0, 0.0]

@@ -14,7 +14,7 @@ from companion.geometry.frames import euler_from_quaternion, quaternion_from_eul
 from companion.types.autopilot import AttitudeTarget
 from lockstep_fleet import platoon
 from sitl.autopilots.autopilot import DT_S
-from sitl.autopilots.px4.autopilot import PX4_LOOPS
+from sitl.autopilots.px4.autopilot import Px4
 from sitl.batch.agents import AttitudeCommands
 from sitl.batch.bodies import (
     AttitudeLoops,
@@ -24,9 +24,8 @@ from sitl.batch.bodies import (
     quaternion_of_euler,
     quaternion_of_turns,
 )
-from sitl.batch.columns import columns_of, phase_steps
-from sitl.flight.lockstep import start_phase_s
-from sitl.vehicle.config import Airframe, AutopilotFile, StandIn
+from sitl.batch.columns import columns_of
+from sitl.vehicle.config import Airframe
 from sitl.vehicle.control import AttitudeControl, AttitudeSetpoint
 from sitl.vehicle.dynamics import Body, small_turn, turned
 from stand_ins import Equations
@@ -82,7 +81,7 @@ def test_attitude_loops_respond_as_in_the_stand_in() -> None:
     AttitudeLoops(inertia).moments(goal, measured, rates, out)
     for column in range(COUNT):
         setpoint = AttitudeSetpoint(tuple(goal[:, column].tolist()), 0.5)
-        control = AttitudeControl(PX4_LOOPS, (0.02, 0.03, 0.05), setpoint, DT_S)
+        control = AttitudeControl(Px4.data.loops, (0.02, 0.03, 0.05), setpoint, DT_S)
         single = control.moments_n_m(setpoint, tuple(measured[:, column].tolist()), *rates[:, column].tolist())
         np.testing.assert_allclose(out[:, column], single, rtol=1e-9, atol=1e-12)
 
@@ -142,13 +141,6 @@ def output_limits(envelope: Envelope) -> OutputLimits:
         envelope.max_thrust_rate_1_s,
         Fence(envelope.fence_min_enu_m, envelope.fence_max_enu_m),
     )
-
-
-def test_phases_equal_those_of_lockstep() -> None:
-    for seed in (1, 7):
-        for vehicle_id in range(1, 9):
-            file = AutopilotFile(id=vehicle_id, stand_in=StandIn(seed=seed))
-            assert phase_steps(seed, vehicle_id) * 0.004 == start_phase_s(file)
 
 
 def test_columns_are_sorted_by_phase_and_map_back_to_vehicles() -> None:

@@ -23,12 +23,13 @@ from ground_fleet import WHOLE, DirectedFlight, directed_status
 from sitl.cli.flights import FLY, flight_options
 from sitl.flight.external import READY_FOR_S, ReachedVehicle, Readiness, load_external, vehicles_of
 from sitl.flight.files import estimated_path, write_files
-from sitl.flight.flights import write_results
+from sitl.flight.flights import FlightEnd, FlightOrder, write_results
 from sitl.flight.scenario import Scenario, load_scenario
-from sitl.links.free_ports import PortInUseError, check_agents_ports
+from sitl.links.free_ports import PortInUseError, reserved_ports
 from sitl.report.folder import remove_old_run
 from sitl.report.metrics import TrackError, read_track, reported_track, write_track
 from sitl.report.summary import in_words, read_summary
+from sitl.stopping import StopRequest
 
 CONFIG = ROOT / "config"
 EXAMPLES = sorted((CONFIG / "external").glob("*.yaml"))
@@ -120,14 +121,16 @@ def test_stand_ins_and_external_vehicles_exclude_each_other() -> None:
 
 
 def test_only_the_agents_ports_must_be_free() -> None:
-    check_agents_ports([1, 2], 2400)
+    with reserved_ports([1, 2], None, 2400):
+        pass
     with pytest.raises(PortInUseError, match=r"TCP port 9848"):
         import socket
 
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as taken:
             taken.bind(("127.0.0.1", 9848))
             taken.listen()
-            check_agents_ports([1], 2400)
+            with reserved_ports([1], None, 2400):
+                pass
 
 
 # ---------------------------------------------------------------- ready
@@ -252,9 +255,9 @@ def test_the_summary_states_the_source_of_the_positions(tmp_path: Path, scenario
     flight = DirectedFlight()
     flight.fly(*WHOLE)
     tracks = {i: reported_track(i, flight.watch.reported[i]) for i in (1, 2)}
-    result = write_results(
-        scenario, "pair", tmp_path, flight.watch, tracks, failure=None, flight_s=1.0, source="estimated"
-    )
+    order = FlightOrder(scenario, "pair", tmp_path, StopRequest("stopped"))
+    end = FlightEnd(failure=None, flight_s=1.0, source="estimated")
+    result = write_results(order, flight.watch, tracks, end)
     summary = read_summary(tmp_path / "summary.json")
     assert (summary.tracks, summary.sensors, summary.seed) == ("estimated", None, None)
     assert "  positions         as estimated by the vehicles" in in_words(result.summary)

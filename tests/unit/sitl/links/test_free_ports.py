@@ -5,8 +5,14 @@ import socket
 import pytest
 
 from companion.types.autopilot import AutopilotKind
-from sitl.links.free_ports import PortInUseError, check_ports
+from sitl.links.free_ports import PortInUseError, reserved_ports
 from sitl.links.ports import ports_of
+
+
+def check_ports(ids: list[int], kind: AutopilotKind, offset: int) -> None:
+    """Reserve the ports of these vehicles for a moment. Raises PortInUseError."""
+    with reserved_ports(ids, kind, offset):
+        pass
 
 
 def test_a_check_of_free_ports_leaves_them_free() -> None:

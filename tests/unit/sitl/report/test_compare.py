@@ -11,7 +11,7 @@ from companion.assembly import law_of
 from companion.core.consensus.law import cooperative
 from companion.wire.messages import Percentiles, Timing
 from sitl.cli.flights import FLY, flight_options
-from sitl.flight.flights import FlightOptions, summarize
+from sitl.flight.flights import FlightEnd, FlightOptions, summarize
 from sitl.flight.scenario import load_scenario, with_law
 from sitl.flight.watch import FlightWatch
 from sitl.report.compare import Comparison, compare, in_a_table
@@ -26,7 +26,8 @@ def summary(
 ) -> RunSummary:
     watch = FlightWatch([1, 2, 3, 4], [1], 0.0)
     watch.timing = watch.newest_timing = dict.fromkeys((1, 2, 3, 4), timing)
-    empty = summarize(load_scenario(PLATOON), "platoon", watch, None, None, 1.2, failure=failure, flight_s=93.04)
+    end = FlightEnd(failure=failure, flight_s=93.04)
+    empty = summarize(load_scenario(PLATOON), "platoon", watch, end, smallest_m=1.2)
     wanted = {"1-2": 1.5, "2-3": 1.5, "3-4": 1.5, "1-4": 4.5}
     return msgspec.structs.replace(
         empty,
@@ -105,9 +106,8 @@ def test_the_summary_of_a_flight_is_printed_in_lines() -> None:
 
 def test_a_flight_that_failed_before_formation_is_one_line() -> None:
     watch = FlightWatch([1, 2, 3, 4], [1], 0.0)
-    failed = summarize(
-        load_scenario(PLATOON), "platoon", watch, None, None, None, failure="vehicle 2: no", flight_s=12.0
-    )
+    end = FlightEnd(failure="vehicle 2: no", flight_s=12.0)
+    failed = summarize(load_scenario(PLATOON), "platoon", watch, end)
     assert in_words(failed) == "platoon, weighted: vehicle 2: no"
     assert failed.duration_s is None
     assert [vehicle.tick for vehicle in failed.vehicles] == [None] * 4
