@@ -10,8 +10,8 @@ from sitl.paper.flights import (
     NOISY_LAWS,
     PERFECT,
     Book,
-    Entry,
     FlightSubject,
+    FlownPlan,
     Interval,
     Model,
     alone_s,
@@ -40,20 +40,19 @@ def aggregation_claims(book: Book) -> list[Claim]:
     return [_average_fails(book), _weighted_succeeds(book), _weighted_keeps_together(book), _one_average_law(book)]
 
 
-def range_m(entry: Entry) -> float:
-    neighbours = entry.flown.scenario.fleet.neighbours
+def range_m(entry: FlownPlan) -> float:
+    neighbours = entry.scenario.fleet.neighbours
     if not isinstance(neighbours, RangeNeighbours):
         raise TypeError("the aggregation's neighbours are those in range")
     return neighbours.range_m
 
 
-def has_gathered(entry: Entry) -> bool:
+def has_gathered(entry: FlownPlan) -> bool:
     """Whether the flight was completed with all vehicles at their slots."""
-    flown = entry.flown
-    return flown.formation is not None and flown.failure is None and entry.figures.final_error_m < GATHERED_WITHIN_M
+    return entry.formation is not None and entry.failure is None and entry.figures.final_error_m < GATHERED_WITHIN_M
 
 
-def left_for_good_s(entry: Entry) -> float:
+def left_for_good_s(entry: FlownPlan) -> float:
     """Time at which the leader lost its last follower for the rest of the flight; inf where it did not."""
     intervals = alone_s(entry.flight, LEADER, range_m(entry))
     if intervals and intervals[-1][1] >= _duration_s(entry) - 0.02:
@@ -61,24 +60,24 @@ def left_for_good_s(entry: Entry) -> float:
     return inf
 
 
-def falls_apart(entry: Entry) -> bool:
+def falls_apart(entry: FlownPlan) -> bool:
     """Whether the leader is alone within FEW_S, and stays alone for at least FEW_S, as the paper states of the average law."""
     left_s = left_for_good_s(entry)
     return left_s <= FEW_S and _duration_s(entry) - left_s >= FEW_S
 
 
-def outcome(entry: Entry) -> str:
+def outcome(entry: FlownPlan) -> str:
     if falls_apart(entry):
         return "fails"
     return "succeeds" if has_gathered(entry) else "neither fails early nor gathers"
 
 
-def _duration_s(entry: Entry) -> float:
+def _duration_s(entry: FlownPlan) -> float:
     formation = entry.flight.formation
     return formation.end_s - formation.start_s
 
 
-def broken_edges(entry: Entry, seconds_s: float = inf) -> str:
+def broken_edges(entry: FlownPlan, seconds_s: float = inf) -> str:
     """ "1-2 from 0.08 s to 2.90 s", for every edge of the start that broke within `seconds_s`; empty where none did."""
     spans = _out_of_range(entry, seconds_s)
     return join_words(
@@ -86,7 +85,7 @@ def broken_edges(entry: Entry, seconds_s: float = inf) -> str:
     )
 
 
-def _out_of_range(entry: Entry, seconds_s: float) -> dict[str, list[Interval]]:
+def _out_of_range(entry: FlownPlan, seconds_s: float) -> dict[str, list[Interval]]:
     """Intervals out of range, for every edge of the start."""
     first, reach_m = beginning(entry.flight, seconds_s), range_m(entry)
     edges = edges_m(first.tracks, first.formation.start_s, reach_m)
@@ -124,7 +123,7 @@ class Connectivity:
         return f"{self.broken or 'none'}{alone}{'' if self.whole else ', disconnected at the end'}"
 
 
-def connectivity(entry: Entry, seconds_s: float = inf) -> Connectivity:
+def connectivity(entry: FlownPlan, seconds_s: float = inf) -> Connectivity:
     reach_m, first = range_m(entry), beginning(entry.flight, seconds_s)
     parts = apart_s(entry.flight, reach_m)
     return Connectivity(
@@ -136,18 +135,14 @@ def connectivity(entry: Entry, seconds_s: float = inf) -> Connectivity:
     )
 
 
-def stays_whole(entry: Entry) -> bool:
+def stays_whole(entry: FlownPlan) -> bool:
     """Whether the flight was completed with a connected graph."""
-    return entry.flown.formation is not None and entry.flown.failure is None and connectivity(entry).whole
-
-
-def _flown(book: Book, law: LawName, model: Model) -> Entry:
-    return book.one(FlightSubject.AGGREGATION, law, model)
+    return entry.formation is not None and entry.failure is None and connectivity(entry).whole
 
 
 def _average_fails(book: Book) -> Claim:
     """The verdict is on eq. 26, the law that the paper names. It holds with a condition where eq. 22 does not fail as well."""
-    flown = {(law, model): _flown(book, law, model) for law in AVERAGES for model in PERFECT}
+    flown = book.perfect(FlightSubject.AGGREGATION, AVERAGES)
     left_s = {key: left_for_good_s(entry) for key, entry in flown.items()}
     fails = {law: all(falls_apart(flown[law, model]) for model in PERFECT) for law in AVERAGES}
 
@@ -169,18 +164,17 @@ def _average_fails(book: Book) -> Claim:
         | {"flown_s": flown_s},
         few_s=FEW_S,
         others=others,
-        flown_s=flown_s,
         **results(result),
     )
 
 
 def _weighted_succeeds(book: Book) -> Claim:
-    entries = {model: _flown(book, "weighted", model) for model in PERFECT}
+    entries = {model: book.one(FlightSubject.AGGREGATION, "weighted", model) for model in PERFECT}
     succeeds = all(has_gathered(entry) for entry in entries.values())
     noisy = book.all(FlightSubject.AGGREGATION, "weighted", Model.NOISY)
     noisy_gathered = sum(has_gathered(entry) for entry in noisy)
     ideal = entries[Model.IDEAL]
-    starts = ideal.flown.scenario.starts_enu_m
+    starts = ideal.scenario.starts_enu_m
     spare_mm = 1000 * (range_m(ideal) - dist(starts[1], starts[2]))
 
     def result(model: Model) -> str:
@@ -196,9 +190,6 @@ def _weighted_succeeds(book: Book) -> Claim:
         | {"noisy_flights": float(len(noisy)), "noisy_flights_gathered": float(noisy_gathered)}
         | {f"leader_alone_s_{model}": total_s(alone_s(e.flight, LEADER, range_m(e))) for model, e in entries.items()}
         | {"spare_range_mm": spare_mm, "formation_s": ideal.figures.duration_s},
-        spare_mm=spare_mm,
-        gathered=noisy_gathered,
-        noisy=len(noisy),
         **results(result),
     )
 
@@ -208,7 +199,7 @@ def _weighted_keeps_together(book: Book) -> Claim:
 
     To hold, it must also be true with noise: in most flights, and in more flights than under eq. 22.
     """
-    entries = {(law, m): _flown(book, law, m) for law in LAWS for m in PERFECT}
+    entries = book.perfect(FlightSubject.AGGREGATION, LAWS)
     window_s = min(_duration_s(entry) for entry in entries.values())
     kept = {key: connectivity(entry, window_s) for key, entry in entries.items()}
     better = {law: all(kept["weighted", m].better_than(kept[law, m]) for m in PERFECT) for law in AVERAGES}
@@ -230,7 +221,6 @@ def _weighted_keeps_together(book: Book) -> Claim:
         with_noise=join_words(
             f"{whole[law]} of {len(noisy[law])} flights ({NAMES[law]})" for law in ("weighted", "average_22")
         ),
-        window_s=window_s,
         fewest=join_words(f"{_fewest_text(entries[law, Model.FULL])} ({NAMES[law]})" for law in LAWS),
         **results(result),
     )
@@ -255,15 +245,15 @@ def _comparison_text(better: dict[LawName, bool], kept: dict[tuple[LawName, Mode
     return text + "."
 
 
-def _fewest_text(entry: Entry) -> str:
+def _fewest_text(entry: FlownPlan) -> str:
     found = fewest_in_range(entry.flight, LEADER, range_m(entry))
     return f"UAV {join_words(str(i) for i in found)}" if found else "none"
 
 
 def _one_average_law(book: Book) -> Claim:
     """Figures 4 and 6 compare with the same law according to the paper; the claim holds if one law fits both figures."""
-    outcomes = {(law, m): outcome(_flown(book, law, m)) for law in AVERAGES for m in PERFECT}
-    peaks_m = {(law, m): largest_m(book.one(FlightSubject.PLATOON, law, m), "1-2") for law in AVERAGES for m in PERFECT}
+    outcomes = {key: outcome(entry) for key, entry in book.perfect(FlightSubject.AGGREGATION, AVERAGES).items()}
+    peaks_m = {key: largest_m(entry, "1-2") for key, entry in book.perfect(FlightSubject.PLATOON, AVERAGES).items()}
     figure_4 = [law for law in AVERAGES if outcomes[law, Model.IDEAL] == "fails"]
     figure_6 = [law for law in AVERAGES if abs(peaks_m[law, Model.IDEAL] - FIRST_M) <= FITS_M]
 

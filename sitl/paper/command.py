@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from companion.types.errors import EXIT_DONE
 from sitl.cluster import workers_of
+from sitl.report.folder import results_folder
 from sitl.report.progress import ShareProgress
 from sitl.stopping import StopRequest
 
@@ -18,30 +19,17 @@ if TYPE_CHECKING:
     from sitl.workers import Workers
 
 
-@dataclass(frozen=True, slots=True)
-class PaperOptions:
-    out: Path
-    full: bool = False
-    quiet: bool = False
-    cluster: str | None = None
-
-
-def run_paper(options: PaperOptions) -> int:
+def run_paper(options: argparse.Namespace) -> int:
     """Run `sitl paper` and return the exit code. Raises what sitl/cli/main.py reports."""
+    folder = results_folder(options.out, "paper")
     with StopRequest("stopped; no report was written", at_once=True):
-        _check(options)
-        return _reproduce(options)
+        trial = folder / ".writable"  # before minutes are spent
+        trial.touch()
+        trial.unlink()
+        return _reproduce(folder, options)
 
 
-def _check(options: PaperOptions) -> None:
-    """Check that the folder is writable before minutes are spent. Raises OSError."""
-    options.out.mkdir(parents=True, exist_ok=True)
-    trial = options.out / ".writable"
-    trial.touch()
-    trial.unlink()
-
-
-def _reproduce(options: PaperOptions) -> int:
+def _reproduce(folder: Path, options: argparse.Namespace) -> int:
     """Compute, fly, draw and write the report. Slow imports are made here."""
     from sitl.paper.aggregation_claims import flight_claims
     from sitl.paper.errata import errata
@@ -68,8 +56,8 @@ def _reproduce(options: PaperOptions) -> int:
         book = Book(flown)
         for number, (file, save) in enumerate(SAVED.items()):
             progress.show(number / len(SAVED))
-            save(options.out / file, book)
-        draw(options.out, study)
+            save(folder / file, book)
+        draw(folder, study)
     report = PaperReport(
         claims=[*theory, *flight_claims(book)],
         past_claims=study.claims,
@@ -82,15 +70,13 @@ def _reproduce(options: PaperOptions) -> int:
         flights=len(flown),
         took_s=round(time.perf_counter() - began_s, 1),
     )
-    write_report(options.out, report)
-    print(
-        f"{verdict_counts(report.claims)}\nreport in {options.out / 'index.html'} ({report.took_s:.0f} s)", flush=True
-    )
+    write_report(folder, report)
+    print(f"{verdict_counts(report.claims)}\nreport in {folder / 'index.html'} ({report.took_s:.0f} s)", flush=True)
     return EXIT_DONE
 
 
 def _compute_and_fly(
-    options: PaperOptions, workers: Workers, progress: ShareProgress
+    options: argparse.Namespace, workers: Workers, progress: ShareProgress
 ) -> tuple[list[Claim], list[FlownPlan]]:
     """Compute the theory in this process while the workers fly the flights."""
     from sitl.paper.flights import fly, paper_plans

@@ -31,8 +31,8 @@ from sitl.paper.flights import (
     COMPARED,
     PERFECT,
     Book,
-    Entry,
     FlightSubject,
+    FlownPlan,
     Model,
     Topology,
     beginning,
@@ -153,7 +153,7 @@ def save_figure_8(path: Path, book: Book) -> None:
     figure.savefig(path, dpi=DPI)
 
 
-def _noisy(book: Book) -> list[Entry]:
+def _noisy(book: Book) -> list[FlownPlan]:
     return [book.one(FlightSubject.PLATOON, law, Model.NOISY) for law in BOTH_LAWS]
 
 
@@ -188,11 +188,11 @@ def save_latency(path: Path, book: Book) -> None:
     figure.savefig(path, dpi=DPI)
 
 
-def _draw_latency(axes: Axes, entry: Entry) -> None:
+def _draw_latency(axes: Axes, entry: FlownPlan) -> None:
     """A leader has no distance to itself, so its curve has a gap during its leadership."""
     flight, start_s = entry.flight, entry.flight.formation.start_s
     times_s = flight.formation.times_s()
-    spans = leaderships(entry.flown)
+    spans = leaderships(entry)
     for vehicle_id in sorted(flight.tracks):
         distance_m = times_s * nan
         for lead in spans:
@@ -228,7 +228,7 @@ def save_figure_4(path: Path, book: Book) -> None:
     figure.savefig(path, dpi=DPI)
 
 
-def _draw_aggregation(axes: Axes, entry: Entry) -> None:
+def _draw_aggregation(axes: Axes, entry: FlownPlan) -> None:
     flight, formation = entry.flight, entry.flight.formation
     _draw_goal(axes, flight)
     roles = {i: Role.LEADER if i == 1 else Role.FOLLOWER for i in flight.tracks}
@@ -247,7 +247,7 @@ def _draw_aggregation(axes: Axes, entry: Entry) -> None:
     dress_plan(axes)
 
 
-def _outcome_text(entry: Entry) -> str:
+def _outcome_text(entry: FlownPlan) -> str:
     formation = entry.flight.formation
     left_s = left_for_good_s(entry)
     after = f"after {formation.end_s - formation.start_s:.0f} s"
@@ -287,7 +287,7 @@ def _at(tracks: Tracks, vehicle_id: int, time_s: float) -> FloatArray:
 def save_figure_9(path: Path, book: Book) -> None:
     """One snapshot in the middle of every leadership, with the 8 and the last seconds of every path."""
     entry = book.one(FlightSubject.FIGURE_8, "weighted", Model.FULL)
-    flight, spans = entry.flight, leaderships(entry.flown)
+    flight, spans = entry.flight, leaderships(entry)
     rows = -(-len(spans) // 3)
     figure = titled_figure(13.0, 1.0 + 3.2 * rows, "Square on the figure of eight: snapshots in plan view")
     grid = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False)
@@ -298,7 +298,7 @@ def save_figure_9(path: Path, book: Book) -> None:
         for track in flight.tracks.values():
             trail_m = track.at(np.linspace(time_s - TRAIL_S, time_s, 100))[:, :2]
             axes.plot(*trail_m.T, color="#999999", linewidth=1.2, label=label_once(axes, f"last {TRAIL_S:g} s"))
-        _draw_reported(axes, flight.tracks, topology_at(entry.flown.topology, time_s), time_s)
+        _draw_reported(axes, flight.tracks, topology_at(entry.topology, time_s), time_s)
         since_s = time_s - flight.formation.start_s
         axes.set_title(f"{since_s:.0f} s, leader: vehicle {lead.leader_id}", fontsize=11)
     for axes in grid[-1]:
@@ -319,7 +319,7 @@ def _draw_reported(axes: Axes, tracks: Tracks, topology: Topology, time_s: float
 def save_figure_10(path: Path, book: Book) -> None:
     """Roles, PrCs and weights just before a leader change, and after the last change of a PrC."""
     entry = book.one(FlightSubject.FIGURE_8, "weighted", Model.FULL)
-    before, after = leaderships(entry.flown)[:2]
+    before, after = leaderships(entry)[:2]
     figure = titled_figure(11.5, 5.6, "Topology before and after a leader change, as reported by the vehicles")
     panels = (
         (after.from_s - 0.2, f"leader: vehicle {before.leader_id}"),
@@ -335,11 +335,11 @@ def save_figure_10(path: Path, book: Book) -> None:
     figure.savefig(path, dpi=DPI)
 
 
-def _draw_weights(axes: Axes, entry: Entry, time_s: float) -> None:
+def _draw_weights(axes: Axes, entry: FlownPlan, time_s: float) -> None:
     """Draw the graph; the number at each end of an edge is the weight that this vehicle gives the other."""
-    tracks, topology = entry.flight.tracks, topology_at(entry.flown.topology, time_s)
+    tracks, topology = entry.flight.tracks, topology_at(entry.topology, time_s)
     ids = sorted(topology)
-    matrix = reported_matrix(entry.flown, topology)
+    matrix = reported_matrix(entry, topology)
     _draw_reported(axes, tracks, topology, time_s)
     middle: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 9}
     box = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none"}

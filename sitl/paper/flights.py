@@ -62,6 +62,7 @@ class Model(StrEnum):
     NOISY = "noisy"  # the same with the default errors of the estimator
 
 
+PERFECT = (Model.IDEAL, Model.FULL)
 AS_IN_THE_PAPER = ("fleet.law.disturbance_bandwidth_1_s=0", "fleet.law.velocity_correction_1_s=0")
 MODEL_OVERRIDES: dict[Model, tuple[str, ...]] = {
     Model.IDEAL: (
@@ -103,9 +104,11 @@ class PaperPlan:
         return load_scenario(SCENARIOS / f"{self.subject}.yaml", [*law, *model, *self.more])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class FlownPlan:
     """One completed flight, sent between processes. Tracks are true; `topology` is as reported by the vehicles.
+
+    Its figures are computed once, where they are needed.
 
     `formation` is None where the vehicles never formed up; `failure` then gives the reason.
     """
@@ -117,6 +120,7 @@ class FlownPlan:
     topology: tuple[TopologyChange, ...]
     failure: str | None
 
+    @cached_property
     def flight(self) -> FormationFlight:
         """The flight for the metrics. Raises NoFormationError."""
         if self.formation is None:
@@ -127,6 +131,18 @@ class FlownPlan:
             self.plan.law, self.tracks, stand_at(slots_enu_m), pairs, reference_of(self.scenario), self.formation
         )
 
+    @cached_property
+    def figures(self) -> FormationFigures:
+        """Raises NoFormationError."""
+        flight = self.flight
+        return formation_figures(flight.tracks, flight.slots, flight.reference, flight.formation)
+
+    @property
+    def settle_s(self) -> float:
+        """Settle time; inf where the flight never settled."""
+        settle_s = self.figures.settle_s
+        return float("inf") if settle_s is None else settle_s
+
 
 def paper_plans(full: bool) -> list[PaperPlan]:
     """All flights of the report, the longest first; `full` adds flights with noise."""
@@ -134,15 +150,14 @@ def paper_plans(full: bool) -> list[PaperPlan]:
 
 
 def _plans(seeds: range) -> Iterator[PaperPlan]:
-    perfect = (Model.IDEAL, Model.FULL)
+    for law in NOISY_LAWS:
+        yield from (PaperPlan(FlightSubject.FIGURE_8, law, model) for model in PERFECT)
     for law in COMPARED:
-        yield from (PaperPlan(FlightSubject.FIGURE_8, law, model) for model in perfect if law != "average_26")
-    for law in COMPARED:
-        yield from (PaperPlan(FlightSubject.PLATOON, law, model) for model in perfect)
+        yield from (PaperPlan(FlightSubject.PLATOON, law, model) for model in PERFECT)
     short = f"timeline[3].for_s={COOPERATION_S:g}"
     for law in NOISY_LAWS:
         yield from (PaperPlan(FlightSubject.PLATOON, law, Model.NOISY, seed, (short,)) for seed in seeds)
-    for model in perfect:
+    for model in PERFECT:
         yield PaperPlan(FlightSubject.AGGREGATION, "weighted", model)
         yield PaperPlan(FlightSubject.AGGREGATION, "average_22", model)
         yield PaperPlan(
@@ -166,16 +181,7 @@ def fly(plan: PaperPlan) -> FlownPlan:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleReport:
-    """Role, PrC and neighbours reported by one vehicle."""
-
-    role: Role
-    prc: int
-    neighbours: tuple[int, ...]
-
-
-Topology = dict[int, VehicleReport]  # by vehicle id
+Topology = dict[int, TopologyChange]  # the last report by vehicle id
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,32 +196,25 @@ class LeadershipSpan:
 
 def topology_at(changes: Sequence[TopologyChange], time_s: float) -> Topology:
     """The last report of each vehicle at this time."""
-    found: Topology = {}
-    for change in changes:
-        if change.time_s <= time_s:
-            found[change.vehicle] = VehicleReport(change.role, change.prc, change.neighbours)
-    return dict(sorted(found.items()))
+    found = {change.vehicle: change for change in changes if change.time_s <= time_s}
+    return {i: found[i] for i in sorted(found)}
 
 
 def leaderships(flown: FlownPlan) -> list[LeadershipSpan]:
     """All leaderships of the formation, in order of time. Raises NoFormationError."""
-    formation = flown.flight().formation
+    formation = flown.flight.formation
     first = topology_at(flown.topology, formation.start_s)
     starts = [(next(i for i, report in first.items() if report.role is Role.LEADER), formation.start_s)]
     for change in flown.topology:
         in_formation = formation.start_s < change.time_s < formation.end_s
         if in_formation and change.role is Role.LEADER and change.vehicle != starts[-1][0]:
             starts.append((change.vehicle, change.time_s))
+    changes_s = [change.time_s for change in flown.topology]
     ends = [*(from_s for _, from_s in starts[1:]), formation.end_s]
     return [
-        LeadershipSpan(leader_id, from_s, _settled_s(flown.topology, from_s, to_s), to_s)
+        LeadershipSpan(leader_id, from_s, max([from_s, *(s for s in changes_s if from_s <= s < to_s)]), to_s)
         for (leader_id, from_s), to_s in zip(starts, ends, strict=True)
     ]
-
-
-def _settled_s(changes: Sequence[TopologyChange], from_s: float, to_s: float) -> float:
-    """Time of the last change of the topology in this leadership."""
-    return max([from_s, *(change.time_s for change in changes if from_s <= change.time_s < to_s)])
 
 
 def reported_matrix(flown: FlownPlan, topology: Topology) -> FloatArray:
@@ -314,45 +313,22 @@ def behind_leader_m(flight: FormationFlight, leader_id: int, vehicle_id: int, ti
     return np.asarray(np.linalg.norm(own - leader, axis=1))
 
 
-PERFECT = (Model.IDEAL, Model.FULL)
-
-
-class Entry:
-    """One flight and its figures, computed once."""
-
-    def __init__(self, flown: FlownPlan) -> None:
-        self.flown = flown
-
-    @cached_property
-    def flight(self) -> FormationFlight:
-        """Raises NoFormationError."""
-        return self.flown.flight()
-
-    @cached_property
-    def figures(self) -> FormationFigures:
-        """Raises NoFormationError."""
-        flight = self.flight
-        return formation_figures(flight.tracks, flight.slots, flight.reference, flight.formation)
-
-    @property
-    def settle_s(self) -> float:
-        """Settle time; inf where the flight never settled."""
-        settle_s = self.figures.settle_s
-        return float("inf") if settle_s is None else settle_s
-
-
 class Book:
     """All flights of a report."""
 
     def __init__(self, flown: Iterable[FlownPlan]) -> None:
-        self._entries = [Entry(one) for one in flown]
+        self._flown = list(flown)
 
-    def all(self, subject: FlightSubject, law: LawName, model: Model) -> list[Entry]:
+    def all(self, subject: FlightSubject, law: LawName, model: Model) -> list[FlownPlan]:
         """The flights with all seeds."""
         wanted = (subject, law, model)
-        return [e for e in self._entries if (e.flown.plan.subject, e.flown.plan.law, e.flown.plan.model) == wanted]
+        return [one for one in self._flown if (one.plan.subject, one.plan.law, one.plan.model) == wanted]
 
-    def one(self, subject: FlightSubject, law: LawName, model: Model) -> Entry:
+    def perfect(self, subject: FlightSubject, laws: Sequence[LawName]) -> dict[tuple[LawName, Model], FlownPlan]:
+        """The flights with perfect sensors under each law with each model. Raises LookupError."""
+        return {(law, model): self.one(subject, law, model) for law in laws for model in PERFECT}
+
+    def one(self, subject: FlightSubject, law: LawName, model: Model) -> FlownPlan:
         """The flight with the first seed. Raises LookupError."""
         found = self.all(subject, law, model)
         if not found:

@@ -216,7 +216,6 @@ def eq_27() -> Claim:
         parts,
         {"g1_difference_eq_22": float(off_eq_22.max())},
         is_or_not="" if is_eq_26 else "not ",
-        off=off_eq_22.max(),
         rows=len(rows),
         of_rows=len(graph),
         which=": that of the leader" if rows == [1] else "",
@@ -265,7 +264,6 @@ def figure_2() -> Claim:
         {f"weight_3_{j}": weight for j, weight in ours.items()}
         | {"largest_difference": worst, "distance_1_5_hops": float(distance)},
         weights=weights,
-        distance=distance,
     )
 
 

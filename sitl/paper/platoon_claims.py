@@ -9,10 +9,11 @@ import numpy as np
 
 from companion.config.fleet import LawName
 from sitl.paper.flights import (
+    COMPARED,
     PERFECT,
     Book,
-    Entry,
     FlightSubject,
+    FlownPlan,
     Model,
     response_s,
     results,
@@ -41,11 +42,7 @@ def platoon_claims(book: Book) -> list[Claim]:
     ]
 
 
-def flown_platoon(book: Book, law: LawName, model: Model) -> Entry:
-    return book.one(FlightSubject.PLATOON, law, model)
-
-
-def largest_m(entry: Entry, pair: str) -> float:
+def largest_m(entry: FlownPlan, pair: str) -> float:
     return entry.figures.max_distance_m[pair]
 
 
@@ -56,7 +53,7 @@ def exceptions(holds: Mapping[LawName, bool]) -> str:
     )
 
 
-def distance_settle_s(entry: Entry) -> float:
+def distance_settle_s(entry: FlownPlan) -> float:
     """Time until every neighbouring pair stays within 10 cm of its desired distance; inf where it never does."""
     flight, desired_m = entry.flight, entry.figures.wanted_distance_m
     times_s = flight.formation.times_s()
@@ -65,13 +62,9 @@ def distance_settle_s(entry: Entry) -> float:
     return inf if settled_s is None else settled_s
 
 
-def _settles_faster(book: Book, claim_id: str, name: str, settle_time_of: Callable[[Entry], float]) -> Claim:
+def _settles_faster(book: Book, claim_id: str, name: str, settle_time_of: Callable[[FlownPlan], float]) -> Claim:
     """Comparison of the weighted law with each average law by a time; `name` is its prefix in `measured`."""
-    settle_s = {
-        (law, model): settle_time_of(flown_platoon(book, law, model))
-        for law in (*AVERAGES, "weighted")
-        for model in PERFECT
-    }
+    settle_s = {key: settle_time_of(entry) for key, entry in book.perfect(FlightSubject.PLATOON, COMPARED).items()}
     faster = {law: all(settle_s["weighted", m] < settle_s[law, m] for m in PERFECT) for law in AVERAGES}
 
     def result(model: Model) -> str:
@@ -94,7 +87,7 @@ def _of_averages(text_of: Callable[[LawName], str]) -> str:
 
 
 def _average_peak(book: Book) -> Claim:
-    peak_m = {(law, m): largest_m(flown_platoon(book, law, m), "1-2") for law in AVERAGES for m in PERFECT}
+    peak_m = {key: largest_m(entry, "1-2") for key, entry in book.perfect(FlightSubject.PLATOON, AVERAGES).items()}
     fits = {key: abs(one_m - FIRST_M) <= FITS_M for key, one_m in peak_m.items()}
     fitting = {m: join_words(NAMES[law] for law in AVERAGES if fits[law, m]) or "neither law" for m in PERFECT}
     return claim_of(
@@ -111,7 +104,8 @@ def _average_peak(book: Book) -> Claim:
 
 def _stays_below(book: Book, claim_id: str, pairs: Sequence[str]) -> Claim:
     """Holds with a condition where the ideal model keeps the paper's figure to the centimetre."""
-    found_m = {m: {pair: largest_m(flown_platoon(book, "weighted", m), pair) for pair in pairs} for m in PERFECT}
+    flown = {model: book.one(FlightSubject.PLATOON, "weighted", model) for model in PERFECT}
+    found_m = {model: {pair: largest_m(entry, pair) for pair in pairs} for model, entry in flown.items()}
     ideal_m, full_m = found_m.values()
     each = [(f"d{pair.replace('-', '')}", model, m) for model, found in found_m.items() for pair, m in found.items()]
     over = [f"{pair} by {100 * (m - SMALLER_M):.1f} cm ({model})" for pair, model, m in each if m >= SMALLER_M]
@@ -132,11 +126,11 @@ def _stays_below(book: Book, claim_id: str, pairs: Sequence[str]) -> Claim:
 
 
 def _one_peak_is_smaller(book: Book) -> Claim:
-    def smaller(law: LawName, model: Model) -> list[str]:
-        weighted, average = flown_platoon(book, "weighted", model), flown_platoon(book, law, model)
-        return [pair for pair in PAIRS if largest_m(weighted, pair) < largest_m(average, pair)]
-
-    found = {(law, model): smaller(law, model) for law in AVERAGES for model in PERFECT}
+    flown = book.perfect(FlightSubject.PLATOON, COMPARED)
+    found = {
+        (law, model): [pair for pair in PAIRS if largest_m(flown["weighted", model], pair) < largest_m(average, pair)]
+        for (law, model), average in book.perfect(FlightSubject.PLATOON, AVERAGES).items()
+    }
 
     def result(model: Model) -> str:
         return "; ".join(f"{', '.join(found[law, model]) or 'none'} (than {NAMES[law]})" for law in AVERAGES)
@@ -156,7 +150,7 @@ def experiment_claims(book: Book) -> list[Claim]:
     return [_followers_respond_faster(book), _highest_peak_is_lower(book)]
 
 
-def behind_first_s(entry: Entry) -> list[float]:
+def behind_first_s(entry: FlownPlan) -> list[float]:
     """Delay of the other vehicles behind UAV 1 at half of their distance."""
     leader_s, *others_s = (response_s(entry.flight, i) for i in sorted(entry.flight.tracks))
     return [other_s - leader_s if leader_s < inf else inf for other_s in others_s]
@@ -164,7 +158,7 @@ def behind_first_s(entry: Entry) -> list[float]:
 
 def _followers_respond_faster(book: Book) -> Claim:
     """Compared with eq. 22 and eq. 26 with perfect sensors, and with eq. 22 seed by seed with noise."""
-    late_s = {(law, m): behind_first_s(flown_platoon(book, law, m)) for law in (*AVERAGES, "weighted") for m in PERFECT}
+    late_s = {key: behind_first_s(entry) for key, entry in book.perfect(FlightSubject.PLATOON, COMPARED).items()}
     faster: dict[LawName, bool] = {
         law: all(w < a for model in PERFECT for w, a in zip(late_s["weighted", model], late_s[law, model], strict=True))
         for law in AVERAGES
@@ -191,14 +185,12 @@ def _followers_respond_faster(book: Book) -> Claim:
             for (law, model), each in late_s.items()
             for i, s in enumerate(each, start=2)
         },
-        noisy_faster=noisy_faster,
-        noisy=len(noisy),
         exceptions=exceptions(faster),
         **results(result),
     )
 
 
-def highest_deviation_m(entry: Entry) -> float:
+def highest_deviation_m(entry: FlownPlan) -> float:
     """Largest deviation of a neighbour distance from the desired one, above or below."""
     figures = entry.figures
     return max(
@@ -213,12 +205,12 @@ def highest_deviation_m(entry: Entry) -> float:
 def _highest_peak_is_lower(book: Book) -> Claim:
     """Largest neighbour distance, as in the paper's text."""
 
-    def excess_m(entry: Entry) -> float:
+    def excess_m(entry: FlownPlan) -> float:
         return max(largest_m(entry, pair) - entry.figures.wanted_distance_m[pair] for pair in PAIRS)
 
-    laws: tuple[LawName, ...] = (*AVERAGES, "weighted")
-    peak_m = {(law, m): excess_m(flown_platoon(book, law, m)) for law in laws for m in PERFECT}
-    both_ways_m = {(law, m): highest_deviation_m(flown_platoon(book, law, m)) for law in laws for m in PERFECT}
+    flown = book.perfect(FlightSubject.PLATOON, COMPARED)
+    peak_m = {key: excess_m(entry) for key, entry in flown.items()}
+    both_ways_m = {key: highest_deviation_m(entry) for key, entry in flown.items()}
     lower = {law: all(peak_m["weighted", m] < peak_m[law, m] for m in PERFECT) for law in AVERAGES}
     not_both_ways = [(law, m) for law in AVERAGES for m in PERFECT if both_ways_m["weighted", m] >= both_ways_m[law, m]]
     noisy = _noisy_pairs(book)
@@ -233,8 +225,6 @@ def _highest_peak_is_lower(book: Book) -> Claim:
         {"noisy_pairs": float(len(noisy)), "noisy_pairs_lower": float(noisy_lower)}
         | {f"peak_m_{law}_{model}": m for (law, model), m in peak_m.items()}
         | {f"deviation_either_side_m_{law}_{model}": m for (law, model), m in both_ways_m.items()},
-        noisy_lower=noisy_lower,
-        noisy=len(noisy),
         exceptions=exceptions(lower),
         caveat=_too_close(both_ways_m, not_both_ways) if not_both_ways else "",
         **results(
@@ -254,7 +244,7 @@ def _too_close(both_ways_m: Mapping[tuple[LawName, Model], float], where: Sequen
     )
 
 
-def _noisy_pairs(book: Book) -> list[tuple[Entry, Entry]]:
+def _noisy_pairs(book: Book) -> list[tuple[FlownPlan, FlownPlan]]:
     """Pairs of flights (weighted, eq. 22) with the same noise."""
     weighted, average = (book.all(FlightSubject.PLATOON, law, Model.NOISY) for law in ("weighted", "average_22"))
     return list(zip(weighted, average, strict=True))

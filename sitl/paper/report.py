@@ -158,7 +158,7 @@ class LawRow(Struct, frozen=True, kw_only=True):
 def law_table(book: Book) -> list[LawRow]:
     rows = []
     for law in COMPARED:
-        flown = book.one(FlightSubject.PLATOON, law, Model.IDEAL).flown
+        flown = book.one(FlightSubject.PLATOON, law, Model.IDEAL)
         for source, delay_s in (("equations", 0.0), (f"equations, neighbours delayed by {DELAY_S:g} s", DELAY_S)):
             ideal = ideal_figures(flown, delay_s)
             largest_m = tuple(ideal.max_distance_m[pair] for pair in PAIRS)
@@ -184,7 +184,7 @@ class IdealFigures:
 
 def ideal_figures(flown: FlownPlan, delay_s: float) -> IdealFigures:
     """Figures of a flight along x by eq. 2 and the law, from its true start; neighbour states are delayed by `delay_s`."""
-    fleet, flight = flown.scenario.fleet, flown.flight()
+    fleet, flight = flown.scenario.fleet, flown.flight
     if not isinstance(fleet.neighbours, EdgeNeighbours):
         raise TypeError("eq. 18 needs a fixed graph")
     ids = sorted(flight.tracks)

@@ -13,7 +13,7 @@ from companion.analysis.response import settled_prcs
 from companion.core.consensus.law import average_22, average_26, weighted
 from sitl.paper.graphs import Led, connected_graphs, describe, every_small_pair, random_pairs, random_parts, unite
 from sitl.paper.words import claim_of, verdict_of
-from sitl.report.claim import Claim, Progress, no_progress
+from sitl.report.claim import Claim, ClaimVerdict, Progress, no_progress
 
 UNIONS = 300  # random graphs in parts
 
@@ -26,47 +26,34 @@ def rows_of_g(survey: GraphSurvey) -> Claim:
         role = np.array([1.0 if i in spectra.pair.leaders else 0.0 for i in sorted(spectra.pair.graph)])
         row_error = max(row_error, float(np.abs(matrix.sum(axis=1) - role).max()))
         off_diagonal = max(off_diagonal, float((matrix - np.diag(np.diag(matrix))).max()))
-    return claim_of(
-        "section-2.2",
-        verdict_of(row_error < ROUNDING and off_diagonal <= 0.0),
-        survey.counts() | {"largest_row_sum_error": row_error, "largest_off_diagonal": off_diagonal},
-        row_error=row_error,
-        off_diagonal=off_diagonal,
-        extent=survey.extent(),
-    )
+    measured = {"largest_row_sum_error": row_error, "largest_off_diagonal": off_diagonal}
+    return survey.claim("section-2.2", verdict_of(row_error < ROUNDING and off_diagonal <= 0.0), measured)
 
 
 def lemma_1(survey: GraphSurvey) -> Claim:
     """Positive eigenvalues where every connected part has a leader, on graphs of one part and of several parts."""
     random = np.random.default_rng(SEED)
     smallest = min(survey.all, key=lambda spectra: spectra.lambda_min)
-    in_parts = [_smallest_eigenvalue(unite(random_parts(random))) for _ in range(UNIONS)]
+    in_parts = [float(_spectrum(unite(random_parts(random))).real.min()) for _ in range(UNIONS)]
     least = min(smallest.lambda_min, *in_parts)
     measured = {
         "graphs_in_parts": float(UNIONS),
         "smallest_eigenvalue": least,
         "smallest_eigenvalue_in_parts": min(in_parts),
     }
-    return claim_of(
-        "lemma-1",
-        verdict_of(least > ROUNDING),
-        survey.counts() | measured,
-        least=least,
-        extent=survey.extent(),
-        unions=UNIONS,
-        smallest=smallest.lambda_min,
-        where_smallest=describe(smallest.pair),
-    )
+    where = {"smallest": smallest.lambda_min, "where_smallest": describe(smallest.pair)}
+    return survey.claim("lemma-1", verdict_of(least > ROUNDING), measured, **where)
 
 
 def lemma_1_converse(survey: GraphSurvey) -> Claim:
     """A part without a leader makes G singular: every small connected graph without leader, and unions with such a part."""
     random = np.random.default_rng(SEED + 1)
     alone = [graph for n in range(2, survey.most_vertices + 1) for graph in connected_graphs(n)]
-    nearest = [_nearest_to_zero(Led(graph, frozenset())) for graph in alone]
+    pairs = [Led(graph, frozenset()) for graph in alone]
     for _ in range(UNIONS):
         first, *others = random_parts(random)
-        nearest.append(_nearest_to_zero(unite([Led(first.graph, frozenset()), *others])))
+        pairs.append(unite([Led(first.graph, frozenset()), *others]))
+    nearest = [float(np.abs(_spectrum(pair)).min()) for pair in pairs]
     largest = max(nearest)
     singular = largest < ROUNDING
     if singular:
@@ -80,8 +67,6 @@ def lemma_1_converse(survey: GraphSurvey) -> Claim:
         "lemma-1-converse",
         verdict_of(singular),
         {"graphs": float(len(nearest)), "largest_distance_from_zero": largest},
-        largest=largest,
-        graphs=len(nearest),
         vertices=survey.most_vertices,
         unions=UNIONS,
         remark=remark,
@@ -100,16 +85,7 @@ def lemma_2(survey: GraphSurvey) -> Claim:
         "largest_gap_of_solvers": gap,
         "pairs_not_symmetric": float(unsymmetric),
     }
-    return claim_of(
-        "lemma-2",
-        verdict_of(max(imaginary, asymmetry, gap) < ROUNDING),
-        survey.counts() | measured,
-        imaginary=imaginary,
-        asymmetry=asymmetry,
-        gap=gap,
-        extent=survey.extent(),
-        unsymmetric=unsymmetric,
-    )
+    return survey.claim("lemma-2", verdict_of(max(imaginary, asymmetry, gap) < ROUNDING), measured)
 
 
 def corollary_2(survey: GraphSurvey) -> Claim:
@@ -119,24 +95,14 @@ def corollary_2(survey: GraphSurvey) -> Claim:
     widest = max(survey.all, key=lambda spectra: round(float(spectra.eigenvalues[-1]), 9))
     most = float(widest.eigenvalues[-1])
     most_one_leader = max(float(spectra.eigenvalues[-1]) for spectra in survey.one_leader)
-    return claim_of(
-        "corollary-2",
-        verdict_of(least > ROUNDING and most <= 3.0 + ROUNDING),
-        survey.counts() | {"smallest": least, "largest": most, "largest_one_leader": most_one_leader},
-        least=least,
-        most=most,
-        most_one_leader=most_one_leader,
-        extent=survey.extent(),
-        widest=describe(widest.pair),
-    )
+    measured = {"smallest": least, "largest": most, "largest_one_leader": most_one_leader}
+    verdict = verdict_of(least > ROUNDING and most <= 3.0 + ROUNDING)
+    return survey.claim("corollary-2", verdict, measured, widest=describe(widest.pair))
 
 
-def _smallest_eigenvalue(pair: Led) -> float:
-    return lambda_min(interaction_matrix(pair.graph, pair.leaders, weighted()))
-
-
-def _nearest_to_zero(pair: Led) -> float:
-    return float(np.abs(spectrum_of(interaction_matrix(pair.graph, pair.leaders, weighted()))).min())
+def _spectrum(pair: Led) -> ComplexArray:
+    """Eigenvalues of G under the weighted law."""
+    return spectrum_of(interaction_matrix(pair.graph, pair.leaders, weighted()))
 
 
 ComplexArray = NDArray[np.complex128]
@@ -189,6 +155,10 @@ class GraphSurvey:
             "pairs_small_one_leader": float(len(self.one_leader)),
             "pairs_random": float(len(self.drawn)),
         }
+
+    def claim(self, id_: str, verdict: ClaimVerdict, measured: dict[str, float], **values: object) -> Claim:
+        """A claim on the pairs of this survey."""
+        return claim_of(id_, verdict, self.counts() | measured, extent=self.extent(), **values)
 
     def extent(self) -> str:
         """Text: the pairs of the survey."""

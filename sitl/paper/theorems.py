@@ -90,15 +90,12 @@ def algorithm_1(survey: GraphSurvey, progress: Progress = no_progress) -> Claim:
         "slowest_ticks_beyond_diameter_plus_1": float(slowest),
         "pairs_right_as_printed": float(printed_right),
     }
-    return claim_of(
+    return survey.claim(
         "algorithm-1",
         verdict_of(good and not climbs, good),
-        survey.counts() | measured | no_leader,
+        measured | no_leader,
         right=pairs - wrong,
-        pairs=pairs,
         in_time=pairs - max(late, late_from_any),
-        extent=survey.extent(),
-        printed_right=printed_right,
         loss=_leader_loss_text(survey.most_vertices) if climbs else "",
     )
 
@@ -172,15 +169,13 @@ def _proposition_1(survey: GraphSurvey, abscissas: FloatArray) -> Claim:
             f"the bound of eq. 20 itself is exceeded on {broken}: the slowest mode may be an overdamped one of a larger "
             "eigenvalue"
         )
-    return claim_of(
+    return survey.claim(
         "proposition-1",
         verdict_of(positive and worst < 0.0),
-        survey.counts()
-        | {f"largest_abscissa_1_s_{_key(name)}": float(abscissas[:, i].max()) for i, name in enumerate(beyond)}
+        {f"largest_abscissa_1_s_{_key(name)}": float(abscissas[:, i].max()) for i, name in enumerate(beyond)}
         | {f"pairs_beyond_eq_20_{_key(name)}": float(count) for name, count in beyond.items()},
         worst=worst,
         sets=len(abscissas[0]),
-        extent=survey.extent(),
         remark=remark,
     )
 
@@ -204,16 +199,14 @@ def _corollary_1(survey: GraphSurvey, abscissas: FloatArray) -> Claim:
     )
     broken = "; ".join(f"K = {name} beyond lambda = {limits[name]:g} on {off[name]} pairs" for name in others)
     always = f", so always, for lambda <= {LARGEST_LAMBDA:g}" if limits[paper] > LARGEST_LAMBDA else ""
-    return claim_of(
+    return survey.claim(
         "corollary-1",
         verdict_of(not any(off.values()), not off[paper]),
-        survey.counts()
-        | {f"largest_deviation_{_key(name)}": float(np.abs(share - 1.0).max()) for name, share in shares.items()}
+        {f"largest_deviation_{_key(name)}": float(np.abs(share - 1.0).max()) for name, share in shares.items()}
         | {f"pairs_not_proportional_{_key(name)}": float(count) for name, count in off.items()}
         | {f"lambda_limit_{_key(name)}": limit for name, limit in limits.items()},
         half_k2=PAPER_GAINS.velocity_1_s / 2.0,
         off=np.abs(shares[paper] - 1.0).max(),
-        extent=survey.extent(),
         limit=limits[paper],
         always=always,
         broken=broken,
@@ -265,16 +258,8 @@ def proposition_2_against_22(survey: GraphSurvey) -> Claim:
         "contrary_lambda_min_weighted": against.lambda_min,
         "contrary_lambda_min_eq_22": against.lambda_min_22,
     }
-    return claim_of(
-        "proposition-2-vs-22",
-        verdict_of(not worse and not fails_there, not worse),
-        survey.counts() | measured,
-        worse=len(worse),
-        equal=equal,
-        ratio=ratio,
-        extent=survey.extent(),
-        remark=remark,
-    )
+    verdict = verdict_of(not worse and not fails_there, not worse)
+    return survey.claim("proposition-2-vs-22", verdict, measured, remark=remark)
 
 
 def _where_it_is_below(spectra: GraphSpectra) -> str:
@@ -320,13 +305,7 @@ def proposition_2_against_26(survey: GraphSurvey) -> Claim:
         "proposition-2-vs-26",
         verdict_of(not fails),
         measured,
-        worse=len(worse),
-        pairs=len(pairs),
         vertices=survey.most_vertices,
-        worse_drawn=len(worse_drawn),
-        drawn=len(drawn),
-        own=own,
-        worst=worst,
         where_worst=describe(worst.pair),
     )
 
@@ -348,7 +327,6 @@ def platoon() -> Claim:
         "platoon-lambda-min",
         verdict_of(faster),
         measured,
-        of=least,
         than_22=least.lambda_min / least.lambda_min_22,
         than_26=least.lambda_min / least.lambda_min_26,
     )

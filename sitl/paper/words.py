@@ -57,8 +57,8 @@ def words() -> Words:
 
 
 def claim_of(id_: str, verdict: ClaimVerdict, measured: dict[str, float], **values: object) -> Claim:
-    """A claim in its words, with these values in them. Raises KeyError for an unknown id or a value that is missing."""
-    own = words().claims[id_]
+    """A claim in its words, with these values and those measured in them. Raises KeyError for an unknown id or value."""
+    own, values = words().claims[id_], measured | values
     return Claim(
         id=id_,
         where=own.where,

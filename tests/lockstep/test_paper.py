@@ -15,7 +15,6 @@ from sitl.paper.aggregation_claims import broken_edges, has_gathered, left_for_g
 from sitl.paper.flights import (
     PATIENT,
     Book,
-    Entry,
     FlightSubject,
     FlownPlan,
     Model,
@@ -28,7 +27,6 @@ from sitl.paper.flights import (
 )
 from sitl.paper.graphs import RING_LED_BY_1, RING_LED_BY_2, printed_matrix
 from sitl.paper.report import ideal_figures
-from sitl.report.metrics import formation_figures
 from sitl.workers import LocalWorkers
 
 SHORT = "timeline[3].for_s=6"
@@ -42,9 +40,7 @@ def flown(subject: FlightSubject, law: LawName, *more: str) -> FlownPlan:
 @pytest.mark.parametrize("law", ["weighted", "average_22", "average_26"])
 def test_the_agents_agree_with_the_equations(law: LawName) -> None:
     flight = flown(FlightSubject.PLATOON, law, SHORT)
-    of_agents = formation_figures(
-        flight.tracks, flight.flight().slots, flight.flight().reference, flight.flight().formation
-    )
+    of_agents = flight.figures
     of_equations = ideal_figures(flight, delay_s=0.01)
     assert set(of_equations.max_distance_m) == {"1-2", "2-3", "3-4"}
     for pair, largest_m in of_equations.max_distance_m.items():
@@ -52,8 +48,8 @@ def test_the_agents_agree_with_the_equations(law: LawName) -> None:
 
 
 def test_the_leader_is_soon_alone_under_eq_26_but_not_under_the_weighted_law() -> None:
-    average = Entry(flown(FlightSubject.AGGREGATION, "average_26", PATIENT, SHORT))
-    weighted = Entry(flown(FlightSubject.AGGREGATION, "weighted", SHORT))
+    average = flown(FlightSubject.AGGREGATION, "average_26", PATIENT, SHORT)
+    weighted = flown(FlightSubject.AGGREGATION, "weighted", SHORT)
     assert 0.05 < left_for_good_s(average) < 0.5
     assert not has_gathered(average)
     assert left_for_good_s(weighted) == float("inf")
@@ -75,7 +71,7 @@ def test_measuring_a_flight_without_formation_gives_the_reason() -> None:
     flight = flown(FlightSubject.PLATOON, "weighted", "timeline[1].timeout_s=1")
     assert flight.formation is None
     with pytest.raises(NoFormationError, match="arm not done within 1 s"):
-        flight.flight()
+        _ = flight.flight
 
 
 def test_flights_in_worker_processes_are_the_same() -> None:
