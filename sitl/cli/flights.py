@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -11,7 +10,15 @@ from companion.cli.options import add_overrides
 from companion.cli.program import CliCommand
 from companion.config.file import ConfigError
 from companion.config.fleet import LawName
-from sitl.cli.options import add_autopilot, add_out, add_out_and_quiet, add_port_offset, add_scenario, overrides_of
+from sitl.cli.options import (
+    add_autopilot,
+    add_out,
+    add_out_and_quiet,
+    add_port_offset,
+    add_scenario,
+    options_of,
+    overrides_of,
+)
 
 if TYPE_CHECKING:
     from sitl.flight.flights import FlightOptions
@@ -26,6 +33,7 @@ def add_flight_arguments(parser: argparse.ArgumentParser) -> None:
     add_autopilot(parser)
     parser.add_argument(
         "--compare",
+        dest="others",
         nargs="*",
         choices=LAWS,
         metavar="LAW",
@@ -92,20 +100,8 @@ def flight_options(parsed: argparse.Namespace) -> FlightOptions:
         raise ConfigError(
             "--autopilot", "", "chooses the stand-ins, and --external starts none; give one of the two options"
         )
-    others: Sequence[LawName] | None = given.get("compare")
-    if others is not None and not others:
-        others = LAWS
-    return FlightOptions(
-        scenario=parsed.scenario,
-        overrides=overrides_of(parsed),
-        others=others,
-        out=parsed.out,
-        quiet=parsed.quiet,
-        anyway=given.get("anyway", False),
-        record=given.get("record", True),  # real agents always record
-        port_offset=given.get("port_offset"),
-        external=given.get("external"),
-    )
+    others = LAWS if given.get("others") == [] else given.get("others")
+    return options_of(FlightOptions, given | {"overrides": overrides_of(parsed), "others": others})
 
 
 RUN = CliCommand(

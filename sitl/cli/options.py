@@ -5,14 +5,21 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from companion.cli.options import whole_number
 from companion.types.autopilot import AutopilotKind
 from sitl.links.ports import MAX_PORT_OFFSET
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 CLUSTER_ADDRESS = re.compile(r"(?P<protocol>(tcp|tls)://)?(?P<host>[\w.-]+|\[[\da-fA-F:.]+\]):(?P<port>[0-9]{1,5})")
 LAST_PORT = 65535
+Options = TypeVar("Options", bound="DataclassInstance")
 ABOVE_0, BELOW_INFINITY = 5e-324, sys.float_info.max  # bounds of a number
 
 
@@ -70,3 +77,8 @@ def overrides_of(parsed: argparse.Namespace) -> list[str]:
     short = [f"fleet.law.name={law}"] if law else []
     short += [f"stand_in.autopilot={autopilot}"] if autopilot else []
     return [*short, *parsed.overrides]
+
+
+def options_of(kind: type[Options], given: Mapping[str, Any]) -> Options:
+    """A dataclass of options from the arguments that have the names of its fields."""
+    return kind(**{field.name: given[field.name] for field in fields(kind) if field.name in given})

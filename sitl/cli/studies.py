@@ -7,7 +7,7 @@ from pathlib import Path
 
 from companion.cli.options import add_overrides, number, whole_number
 from companion.cli.program import CliCommand
-from sitl.cli.options import ABOVE_0, add_cluster, add_out_and_quiet, add_scenario
+from sitl.cli.options import ABOVE_0, add_cluster, add_out_and_quiet, add_scenario, options_of
 from sitl.sweep.options import DEFAULT_SEEDS, LONGEST_S, MAX_FLIGHTS, SHORTEST_S, SweepOptions
 
 PLOTS, ALL = ("matplotlib", "rich"), ("matplotlib", "rich", "scipy")
@@ -22,10 +22,9 @@ def _add_paper(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_paper(options: argparse.Namespace) -> int:
-    from sitl.paper.command import PaperOptions, run_paper
-    from sitl.report.folder import results_folder
+    from sitl.paper.command import run_paper
 
-    return run_paper(PaperOptions(results_folder(options.out, "paper"), options.full, options.quiet, options.cluster))
+    return run_paper(options)
 
 
 def _add_sweep(parser: argparse.ArgumentParser) -> None:
@@ -59,20 +58,7 @@ def _add_sweep(parser: argparse.ArgumentParser) -> None:
 def _run_sweep(options: argparse.Namespace) -> int:
     from sitl.sweep.run import run as run_sweep
 
-    return run_sweep(sweep_options(options))
-
-
-def sweep_options(parsed: argparse.Namespace) -> SweepOptions:
-    return SweepOptions(
-        parsed.scenario,
-        parsed.varied,
-        parsed.seeds,
-        parsed.seconds,
-        parsed.overrides,
-        parsed.out,
-        parsed.quiet,
-        parsed.cluster,
-    )
+    return run_sweep(options_of(SweepOptions, vars(options)))
 
 
 def _add_study(parser: argparse.ArgumentParser) -> None:

@@ -5,8 +5,7 @@ Session and clock are arguments: Zenoh and the machine's clock, or a world in vi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Protocol
 
 from companion.ground.commands import Clock, CommandSession
@@ -123,22 +122,27 @@ class Director:
     def fly(self, timeline: Sequence[TimelineStep]) -> None:
         """All steps in turn. Raises FlightFailure and leaves the vehicles as they are."""
         phases = dict.fromkeys(self._watch.vehicle_ids, FlightPhase.OBSERVE)
-        with self._formation_ends():
+        try:
             for number, step in enumerate(timeline, start=1):
-                name = f"step {number} of {len(timeline)}, {step.command}"
-                self._wait_until(step, name, phases)
-                self._progress.begin_step(name, self._clock.now_s())
-                if step.command not in TO_ALL:
-                    # The next command ends a formation, so its end is recorded before the command is given.
-                    self._watch.end_formation(self._clock.now_s())
-                if step.may_fail:
-                    self._try(step)
-                    phases |= {status.vehicle_id: status.phase for status in self._watch.statuses()}
-                    continue
-                Order(self._session, self._watch, step, self._clock).carry_out(self._pass)
-                if step.command not in TO_ALL:
-                    phases |= dict.fromkeys(step.vehicles or self._watch.vehicle_ids, RULES[step.command].to)
-                self._stay(name, step, phases)
+                self._fly_step(f"step {number} of {len(timeline)}, {step.command}", step, phases)
+        finally:
+            self._watch.end_formation(self._clock.now_s())
+
+    def _fly_step(self, name: str, step: TimelineStep, phases: dict[int, FlightPhase]) -> None:
+        """`phases` are those in which the vehicles are to stay; the step changes them."""
+        self._wait_until(step, name, phases)
+        self._progress.begin_step(name, self._clock.now_s())
+        if step.command not in TO_ALL:
+            # The next command ends a formation, so its end is recorded before the command is given.
+            self._watch.end_formation(self._clock.now_s())
+        if step.may_fail:
+            self._try(step)
+            phases |= {status.vehicle_id: status.phase for status in self._watch.statuses()}
+            return
+        Order(self._session, self._watch, step, self._clock).carry_out(self._pass)
+        if step.command not in TO_ALL:
+            phases |= dict.fromkeys(step.vehicles or self._watch.vehicle_ids, RULES[step.command].to)
+        self._stay(name, step, phases)
 
     def _try(self, step: TimelineStep) -> None:
         """A step that may fail: refusals are recorded, and its time passes whatever the vehicles do."""
@@ -146,14 +150,6 @@ class Director:
         if step.command is CommandName.FORM and self._leaders_formed():
             self._watch.begin_formation()
         self._pass_until(self._clock.now_s() + step.for_s)
-
-    @contextmanager
-    def _formation_ends(self) -> Iterator[None]:
-        """The end of a timeline, also by a failure, ends its formation."""
-        try:
-            yield
-        finally:
-            self._watch.end_formation(self._clock.now_s())
 
     def _leaders_formed(self) -> bool:
         leads = [status.phase for status in self._watch.statuses() if status.role is Role.LEADER]
@@ -226,20 +222,14 @@ class Director:
                 if ids:
                     self._session.ask(ids, name, REPLY_WITHIN_S)
             next_command_s = now_s + REPEAT_S
-        up = self._still_up(self._clock.now_s())
-        return (
-            f"{vehicles_in_words([s.vehicle_id for s in up])} could not be landed: {newest_report(up[0])}"
-            if up
-            else None
-        )
+        if not (up := self._still_up(self._clock.now_s())):
+            return None
+        return f"{vehicles_in_words([s.vehicle_id for s in up])} could not be landed: {newest_report(up[0])}"
 
     def _still_up(self, now_s: float) -> list[Status]:
-        reporting = {vehicle.vehicle_id for vehicle in self._watch.vehicles_at(now_s) if not vehicle.silent} - set(
-            self._lost()
-        )
-        return [
-            s for s in self._watch.statuses() if s.vehicle_id in reporting and (s.armed or s.phase not in GROUND_PHASES)
-        ]
+        reporting = {vehicle.vehicle_id for vehicle in self._watch.vehicles_at(now_s) if not vehicle.silent}
+        known = [status for status in self._watch.statuses() if status.vehicle_id in reporting - set(self._lost())]
+        return [status for status in known if status.armed or status.phase not in GROUND_PHASES]
 
 
 def _landing_command(status: Status) -> CommandName | None:

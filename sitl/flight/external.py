@@ -21,7 +21,7 @@ from companion.types.flight import WITHOUT_LEADER
 from companion.types.status import Status
 from companion.types.values import Vector3
 from sitl.flight.scenario import Scenario
-from sitl.flight.watch import vehicles_in_words
+from sitl.flight.watch import reasons_in_words, vehicles_in_words
 
 READY_WITHIN_S = 120.0  # an ArduCopter can be armed 42 s after its start; the rest is for slow machines
 READY_FOR_S = 2.0  # without interruption: a fresh estimate may still jump
@@ -100,7 +100,7 @@ class Readiness:
         lacking = {i: self._lacks(i, status) for i, status in known.items()}
         if not any(lacking.values()):
             lacking = self._at_same_position({i: status.position_enu_m for i, status in known.items() if status})
-        self.lacking = _by_reason({i: reason for i, reason in lacking.items() if reason})
+        self.lacking = reasons_in_words({i: reason for i, reason in lacking.items() if reason})
         if self.lacking:
             self._ready_since_s = None
             return False
@@ -159,11 +159,3 @@ def _level_m(one_enu_m: Vector3, other_enu_m: Vector3) -> float:
 def _start_it(start_enu_m: Vector3, origin: GeodeticOrigin) -> str:
     latitude_deg, longitude_deg, altitude_m = geodetic_from_enu(start_enu_m, origin.as_tuple())
     return f"start it at {latitude_deg:.7f}, {longitude_deg:.7f}, {altitude_m:.1f} m,"
-
-
-def _by_reason(lacking: dict[int, str]) -> str:
-    """Each reason once, with all vehicles that have it."""
-    vehicles: dict[str, list[int]] = {}
-    for vehicle_id, reason in lacking.items():
-        vehicles.setdefault(reason, []).append(vehicle_id)
-    return "; ".join(f"{vehicles_in_words(ids)}: {reason}" for reason, ids in vehicles.items())

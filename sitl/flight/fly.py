@@ -85,17 +85,17 @@ class _Flight:
         flight_s = time.monotonic() - self._watch.began_s
         tracks: Tracks | None = None
         try:
-            tracks = self._true_tracks() if self._external is None else self._estimated_tracks()
+            tracks = self._tracks()
         except TrackError as error:
             failure = failure or str(error)
         source: TrackSource = "true" if self._external is None else "estimated"
         end = FlightEnd(failure=failure, flight_s=flight_s, source=source)
         return write_results(self._order, self._watch, tracks, end)
 
-    def _true_tracks(self) -> Tracks:
-        return {i: read_track(truth_path(self._folder, i)) for i in ids_of(self._scenario)}
-
-    def _estimated_tracks(self) -> Tracks:
+    def _tracks(self) -> Tracks:
+        """The true ones, or those reported by vehicles with external autopilots. Raises TrackError."""
+        if self._external is None:
+            return {i: read_track(truth_path(self._folder, i)) for i in ids_of(self._scenario)}
         tracks = {i: reported_track(i, self._watch.reported[i]) for i in ids_of(self._scenario)}
         for vehicle_id, track in tracks.items():
             write_track(estimated_path(self._folder, vehicle_id), track)

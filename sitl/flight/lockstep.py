@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from random import Random
 
@@ -104,57 +104,40 @@ class VirtualStandIn:
                 file.write(truth_row(time_s, state, numbers[STATE_KEPT], armed, mode_name))
 
 
-class World:
-    """All stand-ins, advanced together. Their telemetry is out of phase, as from processes started one after another."""
-
-    def __init__(self, files: Sequence[AutopilotFile], links: Links) -> None:
-        self.now_s = 0.0
-        self._steps = 0
-        phases_s = [phase_steps(file.stand_in.seed, file.id) * DT_S for file in files]
-        self.stand_ins = [VirtualStandIn(file, links, phase_s) for file, phase_s in zip(files, phases_s, strict=True)]
-
-    def step(self) -> None:
-        """One step of DT_S."""
-        self._steps += 1
-        self.now_s = self._steps * DT_S
-        for stand_in in self.stand_ins:
-            stand_in.step(self.now_s)
-        if self._steps % TELEMETRY_STEPS == 0:
-            for stand_in in self.stand_ins:
-                stand_in.record(self.now_s)
-
-
 def phase_steps(seed: int, vehicle_id: int) -> int:
     """Step within its period in which a vehicle's telemetry is sampled; agents do not tick together by design."""
     return Random(f"{seed} {vehicle_id} phase").randrange(TELEMETRY_STEPS)
 
 
 class Lockstep:
-    """A whole fleet; for the director it is both session and clock. The result depends on the scenario alone."""
+    """A whole fleet; for the director it is both session and clock. The result depends on the scenario alone.
+
+    Telemetry of the stand-ins is out of phase, as from processes started one after another.
+    """
 
     operator = OPERATOR
 
     def __init__(self, scenario: Scenario, recordings: Path | None = None) -> None:
         """With `recordings` every agent records into that folder, with virtual times."""
-        ids = ids_of(scenario)
-        self._world = World([autopilot_file(scenario, i) for i in ids], scenario.links)
-        self.network = Network(ids, scenario.links, scenario.stand_in.seed)
+        ids, links, seed = ids_of(scenario), scenario.links, scenario.stand_in.seed
+        phases_s = {i: phase_steps(seed, i) * DT_S for i in ids}
+        self.stand_ins = [
+            VirtualStandIn(autopilot_file(scenario, i), links, phase_s) for i, phase_s in phases_s.items()
+        ]
+        self._steps, self._now_s = 0, 0.0
+        self.network = Network(ids, links, seed)
         self._reports: list[StatusReport] = []
         self.vehicles = {
             stand_in.vehicle_id: VirtualAgent(scenario, stand_in, self.network, self._reports, recordings)
-            for stand_in in self._world.stand_ins
+            for stand_in in self.stand_ins
         }
         self.in_order = list(self.vehicles.values())
         self._commands_given = 0
         self._target_samples = 0
 
-    @property
-    def stand_ins(self) -> list[VirtualStandIn]:
-        return self._world.stand_ins
-
     def now_s(self) -> float:
         """Virtual time since the start, seconds."""
-        return self._world.now_s
+        return self._now_s
 
     def sleep(self, seconds: float) -> None:
         """Advance the world by this time, at least by one step."""
@@ -204,12 +187,19 @@ class Lockstep:
             vehicle.close()
 
     def _step(self) -> None:
-        self._world.step()
-        next_step_s = self._world.now_s + DT_S
+        """One step of DT_S of all stand-ins, then the ticks of the agents until the next one."""
+        self._steps += 1
+        now_s = self._now_s = self._steps * DT_S
+        for stand_in in self.stand_ins:
+            stand_in.step(now_s)
+        if self._steps % TELEMETRY_STEPS == 0:
+            for stand_in in self.stand_ins:
+                stand_in.record(now_s)
+        next_step_s = now_s + DT_S
         for vehicle in self.in_order:
             # Every position that arrives before the next step triggers a tick.
-            while (now_s := vehicle.link.tick_s(next_step_s)) is not None:
-                vehicle.tick(now_s)
+            while (tick_s := vehicle.link.tick_s(next_step_s)) is not None:
+                vehicle.tick(tick_s)
 
 
 class VirtualAgent:

@@ -19,7 +19,7 @@ from companion.types.notices import Code
 from companion.types.status import Status
 from companion.types.values import Vector3
 from sitl.flight.scenario import FormationStep, TimelineStep
-from sitl.flight.watch import FlightWatch, vehicles_in_words
+from sitl.flight.watch import FlightWatch, reasons_in_words
 
 REPEAT_S = 0.5
 REPLY_WITHIN_S = 0.5
@@ -146,17 +146,14 @@ class Order:
                 raise FlightFailure(f"vehicle {vehicle_id} gave up at {self._step.command}: {newest_report(status)}")
 
     def _too_late(self, missing: Sequence[int]) -> str:
-        by_reason: dict[str, list[int]] = {}
-        for vehicle_id in missing:
-            status, reason = self._watch.status(vehicle_id), self._reasons.get(vehicle_id, "")
-            if vehicle_id in self._accepted_s and status:
-                reason = self._why_not_done(status)
-            by_reason.setdefault(reason, []).append(vehicle_id)
-        reasons = "; ".join(f"{vehicles_in_words(ids)}: {reason}" for reason, ids in by_reason.items())
+        reasons = reasons_in_words({i: self._why_not_done(i) for i in missing})
         return f"{self._step.command} not done within {self._step.patience_s:g} s: {reasons}"
 
-    def _why_not_done(self, status: Status) -> str:
-        """What is missing in a vehicle that has accepted."""
+    def _why_not_done(self, vehicle_id: int) -> str:
+        """Its last refusal, or what is missing in a vehicle that has accepted."""
+        status = self._watch.status(vehicle_id)
+        if vehicle_id not in self._accepted_s or status is None:
+            return self._reasons.get(vehicle_id, "")
         match self._content:
             case Lead(epoch=epoch):
                 return f"{status.role} in epoch {status.epoch}, expected epoch {epoch}"

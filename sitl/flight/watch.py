@@ -252,3 +252,11 @@ def watch_of(scenario: Scenario, began_s: float) -> FlightWatch:
 def vehicles_in_words(ids: Collection[int]) -> str:
     """ "vehicle 3", "vehicles 1, 2"."""
     return f"vehicle{'s' if len(ids) > 1 else ''} {', '.join(map(str, ids))}"
+
+
+def reasons_in_words(reasons: Mapping[int, str]) -> str:
+    """Each reason once, with all vehicles that have it: "vehicles 1, 2: no answer; vehicle 3: ..."."""
+    vehicles: dict[str, list[int]] = {}
+    for vehicle_id, reason in reasons.items():
+        vehicles.setdefault(reason, []).append(vehicle_id)
+    return "; ".join(f"{vehicles_in_words(ids)}: {reason}" for reason, ids in vehicles.items())

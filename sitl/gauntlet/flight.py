@@ -55,7 +55,7 @@ class Job(Struct, frozen=True):
 class FlightOutcome(Struct, frozen=True, kw_only=True):
     """One flight. `ratio`: smallest distance of the pairs that count, in units of `separation_m`; None: none counted.
 
-    `exception` is a whole traceback, "" without one. `codes` are those of all events.
+    `exception` is a whole traceback, "" without one. `codes` are those of all events, each once, in order.
     """
 
     seed: int
@@ -117,7 +117,7 @@ def fly_drawn(job: Job, flight: Drawn, began_s: float) -> FlightOutcome:
         arrivals=arrived,
         undisturbed_s=_undisturbed_s(flight, arrived),
         refusals=flown.refusals,
-        codes=_codes(flown),
+        codes=list(dict.fromkeys(event.code for event in flown.watch.events)),
         failure=flown.failure or "",
         cpu_s=_since(began_s),
     )
@@ -142,11 +142,6 @@ def without_disturbance(scenario: Scenario) -> Scenario:
         stand_in=replace(scenario.stand_in, sensors="ideal", pilots=()),
         links=Links(partitions=scenario.links.partitions),
     )
-
-
-def _codes(flown: Flown) -> list[Code]:
-    """Codes of all events, each once, in order."""
-    return list(dict.fromkeys(event.code for event in flown.watch.events))
 
 
 def _since(began_s: float) -> float:

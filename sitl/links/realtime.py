@@ -14,7 +14,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,20 +40,13 @@ PORT_HINT = "stop what uses the port, or move all ports with --port-offset"
 
 
 class SocketLink(Protocol):
-    """One link behind a socket. Its constructor registers what `receive_waiting` calls."""
+    """One link behind a socket. Its constructor registers what reads the socket."""
 
-    def send_due(self) -> None:
-        """Send all packets that are due."""
+    def send(self, packets: Iterable[bytes]) -> None:
+        """Send to the peer, if there is one."""
 
     def close(self) -> None:
         """Close the sockets."""
-
-
-def receive_waiting(selector: selectors.BaseSelector) -> None:
-    """Read all sockets of this selector on which something waits, and answer."""
-    for key, _ in selector.select(0):
-        read: Callable[[], None] = key.data
-        read()
 
 
 def _answers(end: LinkEnd, data: bytes) -> Iterator[bytes]:
@@ -82,9 +75,6 @@ class UdpSocketLink:
             raise
         selector.register(self._socket, selectors.EVENT_READ, self._read)
 
-    def send_due(self) -> None:
-        self._send(self._end.due())
-
     def close(self) -> None:
         self._socket.close()
 
@@ -100,9 +90,9 @@ class UdpSocketLink:
                 self._connected, self._address = True, sender
                 self._end.peer_connected()
             if sender == self._address:
-                self._send(_answers(self._end, data))
+                self.send(_answers(self._end, data))
 
-    def _send(self, packets: Iterable[bytes]) -> None:
+    def send(self, packets: Iterable[bytes]) -> None:
         for packet in packets:
             with contextlib.suppress(OSError):  # also for an earlier packet; a full buffer loses this one
                 self._socket.sendto(packet, self._address)
@@ -123,9 +113,6 @@ class TcpSocketLink:
         self._server = socket.create_server((LOOPBACK, port))
         self._server.setblocking(False)
         selector.register(self._server, selectors.EVENT_READ, self._accept)
-
-    def send_due(self) -> None:
-        self._send(self._end.due())
 
     def close(self) -> None:
         self._disconnect()
@@ -161,11 +148,11 @@ class TcpSocketLink:
         except OSError:
             data = b""
         if data:
-            self._send(_answers(self._end, data))
+            self.send(_answers(self._end, data))
         else:
             self._disconnect()
 
-    def _send(self, packets: Iterable[bytes]) -> None:
+    def send(self, packets: Iterable[bytes]) -> None:
         """Also without a client: what is due now is not due again."""
         data = b"".join(packets)
         if self._client is None:
@@ -221,18 +208,18 @@ class _Vehicle:
             raise ConfigError(f"--truth {truth}", "", f"{error.strerror}; name a file that can be written") from error
         if self._truth:
             self._truth.write(TRUTH_HEADER)
-        self._links: list[SocketLink] = []
+        self._links: list[tuple[LinkEnd, SocketLink]] = []
         for end, port, address in (
             (behaviour.onboard_link(self._autopilot), ports.onboard, (LOOPBACK, ports.companion)),
             (behaviour.ground_link(self._autopilot), ports.ground_link, (LOOPBACK, GROUND_STATION_PORT)),
         ):
             with _named_port("UDP", port):
-                self._links.append(stack.enter_context(closing(UdpSocketLink(end, port, address, selector))))
+                self._links.append((end, stack.enter_context(closing(UdpSocketLink(end, port, address, selector)))))
         where = f"UDP {ports.onboard} to {ports.companion}, ground station on {ports.ground_link}"
         if behaviour.tcp_link:
+            end = behaviour.tcp_link(self._autopilot)
             with _named_port("TCP", ports.tcp):
-                tcp = TcpSocketLink(behaviour.tcp_link(self._autopilot), ports.tcp, selector)
-            self._links.append(stack.enter_context(closing(tcp)))
+                self._links.append((end, stack.enter_context(closing(TcpSocketLink(end, ports.tcp, selector)))))
             where = f"TCP {ports.tcp}, {where}"
         self._steps = 0
         print(f"vehicle {file.id}: MAVLink on {where}", flush=True)
@@ -242,8 +229,8 @@ class _Vehicle:
         autopilot.step()
         autopilot.flight_logs.write(autopilot)
         self._steps += 1
-        for link in self._links:
-            link.send_due()
+        for end, link in self._links:
+            link.send(end.due())
         autopilot.texts.clear()
         if self._truth and self._steps % TRUTH_STEPS == 0:
             quad, mode = autopilot.quad, autopilot.mode.name
@@ -277,7 +264,8 @@ def _fly(vehicles: Sequence[_Vehicle], selector: selectors.BaseSelector, done: E
         now_s = time.monotonic()
         late.cycle(next_s, now_s)
         next_s = max(next_s, now_s - MAX_LAG_S)
-        receive_waiting(selector)
+        for key, _ in selector.select(0):
+            key.data()  # reads all that waits, and answers
         while next_s <= now_s:
             for vehicle in groups[group]:
                 vehicle.step(next_s)

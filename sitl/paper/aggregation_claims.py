@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import dist, inf
 
 from companion.config.fleet import LawName, RangeNeighbours
@@ -94,33 +94,29 @@ def _out_of_range(entry: FlownPlan, seconds_s: float) -> dict[str, list[Interval
 
 @dataclass(frozen=True, slots=True)
 class Connectivity:
-    """Connectivity of one flight over a common time; `whole` is of the end of the whole flight."""
+    """Connectivity of one flight over a common time; `connected_at_end` is of the end of the whole flight."""
 
     broken: str  # text of broken_edges
-    out_s: float  # sum of the times that edges of the start were out of range
-    alone_s: float  # time that the leader had no other vehicle in range
-    apart_s: float  # time that the graph was not connected
-    whole: bool  # whether the graph is connected at the end
+    out_of_sight_s: float  # sum of the times that edges of the start were out of range
+    leader_alone_s: float  # time that the leader had no other vehicle in range
+    in_parts_s: float  # time that the graph was not connected
+    connected_at_end: bool  # whether the graph is connected at the end
 
     def better_than(self, other: Connectivity) -> bool:
         """Whether no figure is worse and at least one is better."""
-        gains_s = [other.out_s - self.out_s, other.alone_s - self.alone_s, other.apart_s - self.apart_s]
-        if min(gains_s) < -TOLERANCE_S or self.whole < other.whole:
+        times_s = ("out_of_sight_s", "leader_alone_s", "in_parts_s")
+        gains_s = [getattr(other, name) - getattr(self, name) for name in times_s]
+        if min(gains_s) < -TOLERANCE_S or self.connected_at_end < other.connected_at_end:
             return False
-        return max(gains_s) > TOLERANCE_S or self.whole > other.whole
+        return max(gains_s) > TOLERANCE_S or self.connected_at_end > other.connected_at_end
 
     def measured(self) -> dict[str, float]:
-        return {
-            "out_of_sight_s": self.out_s,
-            "leader_alone_s": self.alone_s,
-            "in_parts_s": self.apart_s,
-            "connected_at_end": float(self.whole),
-        }
+        return {name: float(value) for name, value in asdict(self).items() if name != "broken"}
 
     def text(self) -> str:
         """ "1-2 from 0.08 s to 2.90 s, leader alone for 2.0 s, disconnected at the end", as far as it applies."""
-        alone = f", leader alone for {self.alone_s:.1f} s" if self.alone_s else ""
-        return f"{self.broken or 'none'}{alone}{'' if self.whole else ', disconnected at the end'}"
+        alone = f", leader alone for {self.leader_alone_s:.1f} s" if self.leader_alone_s else ""
+        return f"{self.broken or 'none'}{alone}{'' if self.connected_at_end else ', disconnected at the end'}"
 
 
 def connectivity(entry: FlownPlan, seconds_s: float = inf) -> Connectivity:
@@ -128,16 +124,16 @@ def connectivity(entry: FlownPlan, seconds_s: float = inf) -> Connectivity:
     parts = apart_s(entry.flight, reach_m)
     return Connectivity(
         broken=broken_edges(entry, seconds_s),
-        out_s=sum(total_s(spans) for spans in _out_of_range(entry, seconds_s).values()),
-        alone_s=total_s(alone_s(first, LEADER, reach_m)),
-        apart_s=total_s(apart_s(first, reach_m)),
-        whole=not parts or parts[-1][1] < _duration_s(entry) - 0.02,
+        out_of_sight_s=sum(total_s(spans) for spans in _out_of_range(entry, seconds_s).values()),
+        leader_alone_s=total_s(alone_s(first, LEADER, reach_m)),
+        in_parts_s=total_s(apart_s(first, reach_m)),
+        connected_at_end=not parts or parts[-1][1] < _duration_s(entry) - 0.02,
     )
 
 
 def stays_whole(entry: FlownPlan) -> bool:
     """Whether the flight was completed with a connected graph."""
-    return entry.formation is not None and entry.failure is None and connectivity(entry).whole
+    return entry.formation is not None and entry.failure is None and connectivity(entry).connected_at_end
 
 
 def _average_fails(book: Book) -> Claim:
@@ -235,7 +231,7 @@ def _comparison_text(better: dict[LawName, bool], kept: dict[tuple[LawName, Mode
         NAMES[law]
         for law in AVERAGES
         if all(
-            kept[compared, m].apart_s == 0.0 and kept[compared, m].whole
+            kept[compared, m].in_parts_s == 0.0 and kept[compared, m].connected_at_end
             for compared in ("weighted", law)
             for m in PERFECT
         )

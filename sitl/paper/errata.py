@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from math import cos, degrees, dist, hypot, pi, radians, sin, tan
 
 import numpy as np
+from scipy.optimize import brentq
 
 from companion.analysis.interaction import interaction_matrix
 from companion.analysis.response import settled_prcs
@@ -76,12 +77,8 @@ def acceleration_of(roll_rad: float, pitch_rad: float) -> tuple[float, float, fl
 
 
 def _solve(function: Callable[[float], float], value: float) -> float:
-    """The angle within +-pi/2 at which a rising function takes `value`, by bisection."""
-    low, high = -pi / 2.0, pi / 2.0
-    for _ in range(60):
-        middle = (low + high) / 2.0
-        low, high = (middle, high) if function(middle) < value else (low, middle)
-    return low
+    """The angle within +-pi/2 at which a rising function takes `value`."""
+    return float(brentq(lambda angle: function(angle) - value, -pi / 2.0, pi / 2.0))
 
 
 def _equation_11() -> Erratum:

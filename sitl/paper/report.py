@@ -22,7 +22,7 @@ from sitl.paper.graphs import graph_of
 from sitl.paper.platoon_claims import PAIRS
 from sitl.paper.words import join_words, words
 from sitl.report.claim import Claim, ClaimVerdict, Erratum
-from sitl.report.metrics import settle_time_s
+from sitl.report.metrics import FormationFigures, settle_time_s
 from sitl.report.plots import LAW_TITLES
 from sitl.report.summary import write_json
 from sitl.study.command import SHOWN, StudyReport
@@ -159,14 +159,14 @@ def law_table(book: Book) -> list[LawRow]:
     rows = []
     for law in COMPARED:
         flown = book.one(FlightSubject.PLATOON, law, Model.IDEAL)
-        for source, delay_s in (("equations", 0.0), (f"equations, neighbours delayed by {DELAY_S:g} s", DELAY_S)):
-            ideal = ideal_figures(flown, delay_s)
-            largest_m = tuple(ideal.max_distance_m[pair] for pair in PAIRS)
-            rows.append(LawRow(law=law, source=source, largest_m=largest_m, settle_s=ideal.settle_s))
-        for model in PERFECT:
-            figures = book.one(FlightSubject.PLATOON, law, model).figures
+        sources: list[tuple[str, IdealFigures | FormationFigures]] = [
+            ("equations", ideal_figures(flown, 0.0)),
+            (f"equations, neighbours delayed by {DELAY_S:g} s", ideal_figures(flown, DELAY_S)),
+            *((FLOWN[model], book.one(FlightSubject.PLATOON, law, model).figures) for model in PERFECT),
+        ]
+        for source, figures in sources:
             largest_m = tuple(figures.max_distance_m[pair] for pair in PAIRS)
-            rows.append(LawRow(law=law, source=FLOWN[model], largest_m=largest_m, settle_s=figures.settle_s))
+            rows.append(LawRow(law=law, source=source, largest_m=largest_m, settle_s=figures.settle_s))
     return rows
 
 

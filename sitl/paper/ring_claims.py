@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import inf, nan
 
 import numpy as np
@@ -86,14 +86,14 @@ def _follows_the_8(book: Book) -> Claim:
         and one.leaders == PRINTED.keys()
         and one.leader_rms_m < LEADER_WITHIN * width_m
         and one.all_rms_m < ALL_WITHIN * width_m
-        and one.side_off_m < SIDE_WITHIN * side_m
+        and one.side_deviation_m < SIDE_WITHIN * side_m
         for model, one in found.items()
     )
 
     def result(model: Model) -> str:
         one = found[model]
         errors = f"RMS errors {one.leader_rms_m:.2f} m (leader) and {one.all_rms_m:.2f} m (all)"
-        return f"{one.changes} leader changes; every side within {one.side_off_m:.2f} m of its length; {errors}"
+        return f"{one.changes} leader changes; every side within {one.side_deviation_m:.2f} m of its length; {errors}"
 
     return claim_of(
         "fig-9",
@@ -113,17 +113,12 @@ class _On8:
 
     changes: int
     leaders: set[int]
-    side_off_m: float
+    side_deviation_m: float
     leader_rms_m: float
     all_rms_m: float
 
     def measured(self) -> dict[str, float]:
-        return {
-            "changes": float(self.changes),
-            "side_deviation_m": self.side_off_m,
-            "leader_rms_m": self.leader_rms_m,
-            "all_rms_m": self.all_rms_m,
-        }
+        return {name: float(value) for name, value in asdict(self).items() if name != "leaders"}
 
 
 def _on_the_8(entry: FlownPlan) -> _On8:
@@ -136,7 +131,7 @@ def _on_the_8(entry: FlownPlan) -> _On8:
     return _On8(
         changes=len(spans) - 1,
         leaders={lead.leader_id for lead in spans},
-        side_off_m=float(np.abs(off_m).max()),
+        side_deviation_m=float(np.abs(off_m).max()),
         leader_rms_m=rms(np.concatenate(led_m)),
         all_rms_m=rms(np.concatenate(list(error_m.values()))),
     )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,6 +106,7 @@ def _spectrum(pair: Led) -> ComplexArray:
     return spectrum_of(interaction_matrix(pair.graph, pair.leaders, weighted()))
 
 
+Item = TypeVar("Item")
 ComplexArray = NDArray[np.complex128]
 
 SEED = 2021
@@ -173,12 +175,16 @@ def take_survey(full: bool = False, progress: Progress = no_progress) -> GraphSu
     most_vertices = MOST_VERTICES_FULL if full else MOST_VERTICES
     small = list(every_small_pair(most_vertices))
     drawn = list(random_pairs(np.random.default_rng(SEED), RANDOM_PAIRS_FULL if full else RANDOM_PAIRS))
-    found: list[GraphSpectra] = []
-    for index, pair in enumerate([*small, *drawn]):
-        found.append(spectra_of(pair))
-        if index % 100 == 0:
-            progress(index / (len(small) + len(drawn)))
+    found = [spectra_of(pair) for pair in with_progress([*small, *drawn], progress)]
     return GraphSurvey(most_vertices, found[: len(small)], found[len(small) :])
+
+
+def with_progress(items: Sequence[Item], progress: Progress) -> Iterator[Item]:
+    """The items in turn; `progress` is told which share of them was taken."""
+    for index, item in enumerate(items):
+        if index % 100 == 0:
+            progress(index / len(items))
+        yield item
 
 
 def spectra_of(pair: Led) -> GraphSpectra:

@@ -32,6 +32,7 @@ from sitl.paper.spectrum import (
     rows_of_g,
     spectra_of,
     take_survey,
+    with_progress,
 )
 from sitl.paper.words import claim_of, verdict_of
 from sitl.report.claim import Claim, Progress, no_progress
@@ -66,7 +67,7 @@ def algorithm_1(survey: GraphSurvey, progress: Progress = no_progress) -> Claim:
     random = np.random.default_rng(SEED)
     wrong = late = late_from_any = printed_right = 0
     slowest = -np.inf
-    for index, spectra in enumerate(survey.all):
+    for spectra in with_progress(survey.all, progress):
         graph, leaders = spectra.pair.graph, spectra.pair.leaders
         n, limit = len(graph), diameter(graph) + 1
         right = {i: distance + 1 for i, distance in hops(graph, leaders).items()}
@@ -77,8 +78,6 @@ def algorithm_1(survey: GraphSurvey, progress: Progress = no_progress) -> Claim:
         late_from_any += ticks_from_any > limit
         slowest = max(slowest, ticks - limit, ticks_from_any - limit)
         printed_right += printed_prcs(graph, leaders) == right
-        if index % 100 == 0:
-            progress(index / len(survey.all))
     no_leader = _without_leader(survey)
     climbs = no_leader["graphs_without_leader_at_n"] == no_leader["graphs_without_leader"]
     good = not wrong and not late and not late_from_any
@@ -125,7 +124,8 @@ def _end_of_chain(n: int) -> int:
     return ticks_to_settle(pair.graph, pair.leaders, dict.fromkeys(pair.graph, n))[0][n]
 
 
-OTHER_GAINS = (Gains(1.0, 2.0), Gains(1.0, 4.0))  # critically damped at lambda = 1 and at lambda = 0.25
+ALL_GAINS = (PAPER_GAINS, Gains(1.0, 2.0), Gains(1.0, 4.0))  # critically damped at lambda = 1 and at lambda = 0.25
+Abscissas = Mapping[Gains, FloatArray]  # of every pair of the survey
 PROPORTIONAL = 1e-6  # relative tolerance; a double eigenvalue of eq. 19 is precise to the square root of rounding
 LARGEST_LAMBDA = 3.0  # Corollary 2
 
@@ -140,28 +140,18 @@ def abscissa_1_s(interaction: FloatArray, gains: Gains) -> float:
 
 def proposition_1_and_corollary_1(survey: GraphSurvey, progress: Progress = no_progress) -> list[Claim]:
     """Both claims, from the spectral abscissas of the same matrices."""
-    all_gains = (PAPER_GAINS, *OTHER_GAINS)
-    pairs = survey.all
-    abscissas = np.zeros((len(pairs), len(all_gains)))
-    for index, spectra in enumerate(pairs):
-        abscissas[index] = [abscissa_1_s(spectra.interaction, gains) for gains in all_gains]
-        if index % 100 == 0:
-            progress(index / len(pairs))
+    pairs = with_progress(survey.all, progress)
+    rows = [[abscissa_1_s(spectra.interaction, gains) for gains in ALL_GAINS] for spectra in pairs]
+    abscissas = dict(zip(ALL_GAINS, np.array(rows).T, strict=True))
     return [_proposition_1(survey, abscissas), _corollary_1(survey, abscissas)]
 
 
-def _proposition_1(survey: GraphSurvey, abscissas: FloatArray) -> Claim:
-    """Negative abscissas [pair, gains], and the bound of eq. 20, a step of the proof."""
+def _proposition_1(survey: GraphSurvey, abscissas: Abscissas) -> Claim:
+    """Negative abscissas, and the bound of eq. 20, a step of the proof."""
     positive = all(spectra.lambda_min > 0.0 for spectra in survey.all)
-    worst = float(abscissas.max())
-    beyond = {
-        _name(gains): sum(
-            1
-            for spectra, abscissa in zip(survey.all, abscissas[:, column], strict=True)
-            if abscissa > -mode_figures(gains, spectra.lambda_min).rate_1_s + PROPORTIONAL
-        )
-        for column, gains in enumerate((PAPER_GAINS, *OTHER_GAINS))
-    }
+    worst = float(max(own.max() for own in abscissas.values()))
+    bounds = {g: np.array([-mode_figures(g, one.lambda_min).rate_1_s for one in survey.all]) for g in ALL_GAINS}
+    beyond = {_name(gains): int((own > bounds[gains] + PROPORTIONAL).sum()) for gains, own in abscissas.items()}
     broken = ", ".join(f"{count} pairs with K = {name}" for name, count in beyond.items() if count)
     remark = "the bound of eq. 20 is never exceeded"
     if broken:
@@ -172,28 +162,21 @@ def _proposition_1(survey: GraphSurvey, abscissas: FloatArray) -> Claim:
     return survey.claim(
         "proposition-1",
         verdict_of(positive and worst < 0.0),
-        {f"largest_abscissa_1_s_{_key(name)}": float(abscissas[:, i].max()) for i, name in enumerate(beyond)}
+        {f"largest_abscissa_1_s_{_key(_name(gains))}": float(own.max()) for gains, own in abscissas.items()}
         | {f"pairs_beyond_eq_20_{_key(name)}": float(count) for name, count in beyond.items()},
         worst=worst,
-        sets=len(abscissas[0]),
+        sets=len(abscissas),
         remark=remark,
     )
 
 
-def _corollary_1(survey: GraphSurvey, abscissas: FloatArray) -> Claim:
+def _corollary_1(survey: GraphSurvey, abscissas: Abscissas) -> Claim:
     """Rate / (k2/2 lambda_min), which is 1 where the corollary holds, and its limit lambda = 4 k1/k2^2."""
-    shares = {
-        _name(gains): np.array(
-            [
-                -abscissa / (gains.velocity_1_s / 2.0 * spectra.lambda_min)
-                for spectra, abscissa in zip(survey.all, abscissas[:, column], strict=True)
-            ]
-        )
-        for column, gains in enumerate((PAPER_GAINS, *OTHER_GAINS))
-    }
+    lambda_min = np.array([spectra.lambda_min for spectra in survey.all])
+    shares = {_name(gains): -own / (gains.velocity_1_s / 2.0 * lambda_min) for gains, own in abscissas.items()}
     paper, *others = shares
     off = {name: int((np.abs(share - 1.0) > PROPORTIONAL).sum()) for name, share in shares.items()}
-    limits = {_name(gains): limit_of_proportion(gains) for gains in (PAPER_GAINS, *OTHER_GAINS)}
+    limits = {_name(gains): limit_of_proportion(gains) for gains in ALL_GAINS}
     worst_name, worst_at = min(
         ((name, int(shares[name].round(6).argmin())) for name in others), key=lambda at: shares[at[0]][at[1]]
     )

@@ -192,7 +192,7 @@ def formation_figures(
     errors = {i: errors_m(tracks[i], slots[i], reference_enu_m, times_s) for i in sorted(tracks)}
     largest_m = np.max(list(errors.values()), axis=0)
     within = np.flatnonzero(largest_m <= SETTLED_WITHIN_M)
-    final = {i: float(np.sqrt(np.mean(error_m[last] ** 2))) for i, error_m in errors.items()}
+    final = {i: rms(error_m[last]) for i, error_m in errors.items()}
     distances = {pair: distances_m(tracks, pair, times_s) for pair in pairs_of(tracks)}
     return FormationFigures(
         duration_s=formation.end_s - formation.start_s,
@@ -248,9 +248,10 @@ def tracking(
     leaders = np.sum([leading[i] for i in ids], axis=0)
     led = leaders > 0
     led_to_enu_m = np.sum([positions[i] * leading[i][:, None] for i in ids], axis=0) / np.maximum(leaders, 1)[:, None]
+    behind_m = {i: np.linalg.norm(positions[i] - led_to_enu_m, axis=1)[led & ~leading[i]] for i in ids}
     return Tracking(
-        {i: _rms(errors_m(tracks[i], slots[i], reference_enu_m, times_s)) for i in ids},
-        {i: _rms_or_none(np.linalg.norm(positions[i] - led_to_enu_m, axis=1)[led & ~leading[i]]) for i in ids},
+        {i: rms(errors_m(tracks[i], slots[i], reference_enu_m, times_s)) for i in ids},
+        {i: rms(behind) if behind.size else None for i, behind in behind_m.items()},
     )
 
 
@@ -262,9 +263,5 @@ def _leads_at(since: Sequence[tuple[float, bool]], times_s: FloatArray) -> np.nd
     return np.array([leads for _, leads in since])[np.maximum(index, 0)]
 
 
-def _rms(distances_m: FloatArray) -> float:
-    return float(np.sqrt(np.mean(distances_m**2)))
-
-
-def _rms_or_none(distances_m: FloatArray) -> float | None:
-    return _rms(distances_m) if distances_m.size else None
+def rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -238,13 +238,6 @@ def cos_tilt(attitude: Quaternion) -> float:
     return 1.0 - 2.0 * (x * x + y * y)
 
 
-class Contact(Enum):
-    """A change of the contact with the ground."""
-
-    TOOK_OFF = auto()
-    LANDED = auto()
-
-
 class GroundContact:
     """Contact of one armed vehicle with the ground. Times are of the autopilot's clock."""
 
@@ -260,22 +253,18 @@ class GroundContact:
         self._armed_s = now_s
         self.flown = False
 
-    def update(self, on_ground: bool, low_thrust: bool, now_s: float) -> Contact | None:
+    def update(self, on_ground: bool, low_thrust: bool, now_s: float) -> None:
         """To be called once per step while armed."""
         if not on_ground:
-            took_off = self.landed
             self.flies, self.flown, self.landed, self._still_since_s = True, True, False, None
-            return Contact.TOOK_OFF if took_off else None
-        if self.landed:
-            return None
-        if not low_thrust:
+        elif self.landed:
+            return
+        elif not low_thrust:
             self.flies, self._still_since_s = True, None
         elif self._still_since_s is None:
             self.flies, self._still_since_s = False, now_s
         elif now_s - self._still_since_s >= LANDED_AFTER_S:
             self.landed, self._landed_s = True, now_s
-            return Contact.LANDED
-        return None
 
     def idle_s(self, now_s: float) -> float:
         """Time on the ground since it landed, or since it was armed; 0 in the air."""

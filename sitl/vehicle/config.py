@@ -12,6 +12,7 @@ from companion.config.values import PositionM, Section, VehicleId
 from companion.types.autopilot import AutopilotKind
 
 NonNegative = Annotated[float, Meta(ge=0, le=1000)]
+PerAxis = tuple[NonNegative, NonNegative, NonNegative]
 Positive = Annotated[float, Meta(gt=0, le=1000)]
 FlightTime = Annotated[float, Meta(ge=0, le=36_000, description="time since the start of the stand-in")]
 
@@ -41,17 +42,13 @@ class Airframe(Section, frozen=True):
 class Sensors(Section, frozen=True):
     """Errors of the autopilot's estimate: slow drifts (standard deviation, correlation time) and white noise."""
 
-    position_sd_m: Annotated[
-        tuple[NonNegative, NonNegative, NonNegative], Meta(description="drift of the position, per axis")
-    ] = (0.0, 0.0, 0.0)
+    position_sd_m: Annotated[PerAxis, Meta(description="drift of the position, per axis")] = (0.0, 0.0, 0.0)
     position_time_s: Annotated[Positive, Meta(description="correlation time of the position drift")] = 20.0
     velocity_sd_m_s: Annotated[NonNegative, Meta(description="drift of the velocity")] = 0.0
     velocity_time_s: Annotated[Positive, Meta(description="correlation time of the velocity drift")] = 2.0
     velocity_white_sd_m_s: Annotated[NonNegative, Meta(description="white noise on the velocity")] = 0.0
     attitude_sd_deg: Annotated[NonNegative, Meta(description="drift of roll and pitch")] = 0.0
-    origin_sd_m: Annotated[
-        tuple[NonNegative, NonNegative, NonNegative], Meta(description="error of the vehicle's own origin, per axis")
-    ] = (0.0, 0.0, 0.0)
+    origin_sd_m: Annotated[PerAxis, Meta(description="error of the vehicle's own origin, per axis")] = (0.0, 0.0, 0.0)
 
 
 SENSORS: dict[str, Sensors] = {

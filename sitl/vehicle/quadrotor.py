@@ -116,30 +116,24 @@ class Quadrotor:
         """Roll, pitch, yaw of FLU in ENU."""
         return euler_from_quaternion(self.estimated_quaternion())
 
-    def step(self, setpoint: AttitudeSetpoint, most: int = 1) -> int:
-        """Advance by at most so many steps of dt_s under this setpoint, until it is on the ground. Returns their number."""
-        state, error, gusts, ground_z_m = self.state, self._error, self._gusts, self._ground_z_m
+    def step(self, setpoint: AttitudeSetpoint) -> None:
+        """Advance by dt_s under this setpoint."""
+        state = before = self.state
+        error, gusts = self._error, self._gusts
+        wind_enu_m_s = gusts.mean_m_s if gusts.quiet else gusts.step()
+        if self._ideal_attitude:
+            state, moments_n_m = self._at_commanded_attitude(state, setpoint), ZERO3
+        else:  # the loops know only the estimate
+            _, _, _, _, _, _, w, x, y, z, p, q, r, _, _, _, _ = state
+            measured = (w, x, y, z) if error.quiet else turned((w, x, y, z), error.turn)
+            moments_n_m = self._control.moments_n_m(setpoint, measured, p, q, r)
         thrust_n = setpoint.thrust_norm * self._newton_per_thrust
-        for number in range(1, most + 1):
-            before, wind_enu_m_s = state, gusts.mean_m_s if gusts.quiet else gusts.step()
-            if self._ideal_attitude:
-                state, moments_n_m = self._at_commanded_attitude(state, setpoint), ZERO3
-            else:  # the loops know only the estimate
-                _, _, _, _, _, _, w, x, y, z, p, q, r, _, _, _, _ = state
-                measured = (w, x, y, z) if error.quiet else turned((w, x, y, z), error.turn)
-                moments_n_m = self._control.moments_n_m(setpoint, measured, p, q, r)
-            state = self._body.step(state, thrust_n, moments_n_m, wind_enu_m_s)
-            self._steps += 1
-            if self._steps % ESTIMATE_PERIOD_STEPS == 0:
-                error.step()
-            if state[2] <= ground_z_m and state[5] <= 0.0:
-                self.state, self.on_ground = self._at_rest(state, before), True
-                return number
-        self.state, self.on_ground = state, False
-        return most
-
-    def _is_on_ground(self, state: State) -> bool:
-        return state[2] <= self._ground_z_m and state[5] <= 0.0
+        state = self._body.step(state, thrust_n, moments_n_m, wind_enu_m_s)
+        self._steps += 1
+        if self._steps % ESTIMATE_PERIOD_STEPS == 0:
+            error.step()
+        self.on_ground = state[2] <= self._ground_z_m and state[5] <= 0.0
+        self.state = self._at_rest(state, before) if self.on_ground else state
 
     def _at_commanded_attitude(self, state: State, setpoint: AttitudeSetpoint) -> State:
         """The ideal of section 3.1: the estimated attitude equals the commanded one without delay."""
@@ -156,7 +150,7 @@ class Quadrotor:
 
     def _at_rest(self, state: State, before: State) -> State:
         """Flat ground: it stops the fall, levels the vehicle, and holds one that was on the ground before against wind."""
-        x, y, *_ = before if self._is_on_ground(before) else state
+        x, y, *_ = before if before[2] <= self._ground_z_m and before[5] <= 0.0 else state
         _, _, yaw = euler_from_quaternion((state[6], state[7], state[8], state[9]))
         half = yaw / 2.0
         return (

@@ -56,6 +56,8 @@ class ArduCopter(Autopilot):
     kind = AutopilotKind.ARDUPILOT
     data = load_data(Path(__file__).parent)
     mode: CopterMode
+    takes_off = False
+    commanded_thrust_norm = 0.0  # before the compensation of the tilt
 
     def __init__(self, file: AutopilotFile, dt_s: float) -> None:
         super().__init__(file, dt_s)
@@ -63,10 +65,8 @@ class ArduCopter(Autopilot):
         self.log_service = LogService()
         self.mode = self.intended_mode = CopterMode.STABILIZE
         self.start = StartUp(self.armable_after_s(file.stand_in))
-        self.throttle_norm = 0.0  # commanded, before the compensation of the tilt
         self.failsafe = False
         self.signing: SigningSetup | None = None
-        self._taking_off = False
         self._lifts_off_s = 0.0
         self._followed: AttitudeSetpoint | Course | None = None  # in GUIDED; None holds
         self._followed_s = 0.0
@@ -91,16 +91,8 @@ class ArduCopter(Autopilot):
         return STATE_STANDBY if self._ground.landed else STATE_ACTIVE
 
     @property
-    def takes_off(self) -> bool:
-        return self._taking_off
-
-    @property
     def has_origin(self) -> bool:
         return self.start.has_origin(self.time_s)
-
-    @property
-    def commanded_thrust_norm(self) -> float:
-        return self.throttle_norm
 
     def speeds(self) -> Speeds:
         p = self.parameters
@@ -161,7 +153,7 @@ class ArduCopter(Autopilot):
 
     def stop(self) -> None:
         """Brake and hold in GUIDED: the reaction to an invalid setpoint."""
-        if self.mode is CopterMode.GUIDED and (self._followed is not None or self._taking_off):
+        if self.mode is CopterMode.GUIDED and (self._followed is not None or self.takes_off):
             self._stop()
 
     def take_off(self, height_m: float) -> bool:
@@ -175,7 +167,7 @@ class ArduCopter(Autopilot):
         ):
             return False
         self._stop()
-        self._taking_off = True
+        self.takes_off = True
         self._lifts_off_s = max(self._lifts_off_s, self.time_s + RUN_UP_S)
         self._automatic.enter(Task.TAKE_OFF, self.home, top_m)
         return True
@@ -199,8 +191,8 @@ class ArduCopter(Autopilot):
             return False
         if self.armed:
             self.armed = False
-            self.throttle_norm = 0.0
-            self._taking_off = False
+            self.commanded_thrust_norm = 0.0
+            self.takes_off = False
             self._followed = None
             self.send_text(INFO, "Disarming motors")
         return True
@@ -238,7 +230,7 @@ class ArduCopter(Autopilot):
         if self._waits_on_ground():
             self._thrust(AttitudeSetpoint(self.quad.estimated_quaternion(), IDLE_THRUST_NORM))
             if self.mode is CopterMode.LAND:
-                self.throttle_norm = TOUCHED_DOWN_THROTTLE_NORM
+                self.commanded_thrust_norm = TOUCHED_DOWN_THROTTLE_NORM
         elif self.mode is CopterMode.STABILIZE:  # the throttle stick is at the bottom
             self._thrust(AttitudeSetpoint(quaternion_from_euler(0.0, 0.0, self.quad.estimated_euler_rad()[2]), 0.0))
         elif self.mode is CopterMode.GUIDED and isinstance(self._followed, AttitudeSetpoint):
@@ -253,15 +245,15 @@ class ArduCopter(Autopilot):
         return not self._is_to_lift_off() or self.time_s < self._lifts_off_s
 
     def _is_to_lift_off(self) -> bool:
-        if self._taking_off or self.mode is not CopterMode.GUIDED:
-            return self._taking_off
+        if self.takes_off or self.mode is not CopterMode.GUIDED:
+            return self.takes_off
         if isinstance(self._followed, AttitudeSetpoint) and self._level is None:
             return self._followed.thrust_norm > (0.0 if self._takes_thrust() else 0.5)
         return False
 
     def _fly_automatically(self) -> None:
-        if self._taking_off and self._automatic.taken_off():
-            self._taking_off = False
+        if self.takes_off and self._automatic.taken_off():
+            self.takes_off = False
         if self._incidents.course is not None and self.mode is CopterMode.LOITER:
             self._thrust(self._automatic.follow(self._incidents.course, self._control_dt_s))
             return
@@ -286,12 +278,17 @@ class ArduCopter(Autopilot):
             if control_is_due:
                 self._thrust(self._automatic.climb(followed.quaternion, self._climb_m_s(followed), self._control_dt_s))
         else:
-            self.throttle_norm = min(max(followed.thrust_norm, 0.0), 1.0) if isfinite(followed.thrust_norm) else 0.0
+            self.commanded_thrust_norm = (
+                min(max(followed.thrust_norm, 0.0), 1.0) if isfinite(followed.thrust_norm) else 0.0
+            )
             boost = 1.0
             if followed.rates_rad_s is None and self.parameters["ATC_ANGLE_BOOST"]:
                 boost = 1.0 / max(cos_tilt(followed.quaternion), LEAST_COS_TILT)
             self.setpoint = AttitudeSetpoint(
-                followed.quaternion, min(self.throttle_norm * boost, 1.0), followed.yaw_rate_rad_s, followed.rates_rad_s
+                followed.quaternion,
+                min(self.commanded_thrust_norm * boost, 1.0),
+                followed.yaw_rate_rad_s,
+                followed.rates_rad_s,
             )
 
     def _takes_thrust(self) -> bool:
@@ -308,7 +305,7 @@ class ArduCopter(Autopilot):
     def _thrust(self, setpoint: AttitudeSetpoint) -> None:
         """Set a setpoint whose thrust already compensates the tilt."""
         self.setpoint = setpoint
-        self.throttle_norm = setpoint.thrust_norm * max(cos_tilt(setpoint.quaternion), LEAST_COS_TILT)
+        self.commanded_thrust_norm = setpoint.thrust_norm * max(cos_tilt(setpoint.quaternion), LEAST_COS_TILT)
 
     # ------------------------------------------------------------ ground and modes
 
@@ -329,7 +326,7 @@ class ArduCopter(Autopilot):
         self._stop()
 
     def _stop(self) -> None:
-        self._taking_off = False
+        self.takes_off = False
         self._followed = self._level = None
         self._restart_task()
 

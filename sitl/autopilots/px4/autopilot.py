@@ -23,7 +23,7 @@ from sitl.autopilots.autopilot import (
 from sitl.autopilots.logs import StandInLogs
 from sitl.autopilots.parameters import BytewiseParameters, load_data
 from sitl.autopilots.px4.logs import ULog
-from sitl.vehicle.automatic_flight import Contact, Course, Speeds, Task
+from sitl.vehicle.automatic_flight import Course, Speeds, Task
 from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.control import AttitudeSetpoint
 
@@ -326,11 +326,10 @@ class Px4(Autopilot):
     def _update_ground_contact(self) -> None:
         if self._ground.flies and not self.quad.on_ground:
             return  # no change
-        contact = self._ground.update(self.quad.on_ground, self._thrust_is_low(), self.time_s)
-        if contact is Contact.TOOK_OFF:
-            self.send_text(INFO, "Takeoff detected")
-        elif contact is Contact.LANDED:
-            self.send_text(INFO, "Landing detected")
+        before = self._ground.landed
+        self._ground.update(self.quad.on_ground, self._thrust_is_low(), self.time_s)
+        if self._ground.landed is not before:
+            self.send_text(INFO, "Landing detected" if self._ground.landed else "Takeoff detected")
         idle_s = self._ground.idle_s(self.time_s)
         if self._ground.flown and idle_s > self.parameters["COM_DISARM_LAND"] > 0:
             self.disarm(forced=True, reason="landing")

@@ -117,15 +117,17 @@ def test_connectivity_must_be_better_with_noise_too(
 
 
 def test_better_means_worse_in_no_figure() -> None:
-    base = Connectivity(broken="", out_s=1.0, alone_s=1.0, apart_s=1.0, whole=True)
-    later = Connectivity(broken="", out_s=0.5, alone_s=2.0, apart_s=1.0, whole=True)
-    in_parts = Connectivity(broken="", out_s=0.5, alone_s=0.5, apart_s=0.5, whole=False)
+    base = Connectivity(broken="", out_of_sight_s=1.0, leader_alone_s=1.0, in_parts_s=1.0, connected_at_end=True)
+    later = Connectivity(broken="", out_of_sight_s=0.5, leader_alone_s=2.0, in_parts_s=1.0, connected_at_end=True)
+    in_parts = Connectivity(broken="", out_of_sight_s=0.5, leader_alone_s=0.5, in_parts_s=0.5, connected_at_end=False)
     assert not base.better_than(base)
     assert not later.better_than(base)
     assert not base.better_than(later)
     assert not in_parts.better_than(base)
-    assert Connectivity(broken="", out_s=1.0, alone_s=1.0, apart_s=1.0, whole=True).better_than(
-        Connectivity(broken="", out_s=1.0, alone_s=1.0, apart_s=1.0, whole=False)
+    assert Connectivity(
+        broken="", out_of_sight_s=1.0, leader_alone_s=1.0, in_parts_s=1.0, connected_at_end=True
+    ).better_than(
+        Connectivity(broken="", out_of_sight_s=1.0, leader_alone_s=1.0, in_parts_s=1.0, connected_at_end=False)
     )
 
 
