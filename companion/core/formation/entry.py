@@ -1,6 +1,6 @@
 """Entry into formation: where the fleet is, joining vehicles in formation, and the lead-in of a leader off the fleet.
 
-Vehicles that form together use `together.py`. A vehicle that forms later, among others in formation, uses `joining.py`.
+Vehicles that form together use `paths.py`. A vehicle that forms later, among others in formation, joins them.
 """
 
 from __future__ import annotations
@@ -11,15 +11,22 @@ from math import dist, hypot
 from companion.core.consensus.law import FormationState, formation_state
 from companion.core.consensus.peers import PeerState, formation_state_at
 from companion.core.consensus.stage import Consensus
-from companion.core.formation.paths import FormingTogether, Frame, Offset, Path, gentle_path, offset_from
+from companion.core.formation.paths import (
+    FORM_OR_HOLD,
+    Entering,
+    FormingTogether,
+    Offset,
+    Path,
+    gentle_path,
+    offset_from,
+)
 from companion.core.reference.blend import SAMPLES
 from companion.geometry.formations import in_formation_frame
 from companion.geometry.vectors import mean, minus, plus
 from companion.types.autopilot import VehicleState
 from companion.types.flight import COOPERATING, STREAMING, Flight, FlightPhase, Role
-from companion.types.formation import FlownSlot, Heading
+from companion.types.formation import FlownSlot
 from companion.types.notices import Code, Notice, Refused
-from companion.types.values import Vector3
 
 LEADER, ENGAGE, FORMATION = Role.LEADER, FlightPhase.ENGAGE, FlightPhase.FORMATION  # member lookup of an enum is slow
 COMMANDED_WITHIN_S = 0.25  # from the command to this vehicle to the packet of a peer that was commanded as well
@@ -43,55 +50,33 @@ class FormationEntry:
         """When other peers than before are in formation: their ids."""
         self._joining.update(now_s, formed)
 
-    def judge_command(
-        self,
-        now_s: float,
-        vehicle: VehicleState,
-        consensus: Consensus,
-        reference: FormationState | None,
-        heading: Heading,
-        slots_m: dict[int, Vector3],
-    ) -> tuple[Notice | None, Notice | None]:
-        """(refusal, warning) of the command to form. `reference` is R of a leader; `slots_m` are of all vehicles."""
-        self._joins, self._commanded_s, self._check_s = self._joining.is_due(now_s), now_s, now_s
+    def judge_command(self, now: Entering, reference: FormationState | None) -> tuple[Notice | None, Notice | None]:
+        """(refusal, warning) of the command to form. `reference` is R of a leader."""
+        self._joins, self._commanded_s, self._check_s = self._joining.is_due(now.now_s), now.now_s, now.now_s
         try:
-            path = self.path(now_s, vehicle, consensus, reference, heading, slots_m)
+            path = self.path(now, reference)
         except Refused as refusal:
             return refusal.notice, None
         if self._joins:
             return None, None
-        peers = [peer for peer in consensus.peers.fresh.values() if peer.packet.armed]
-        fleet, _ = self._fleet(now_s, reference, peers)
-        return None, self._together.crossing(now_s, vehicle, Frame(fleet, heading, slots_m), path, peers)
+        fleet, _ = self._fleet(now, reference)
+        return None, self._together.crossing(now, fleet, path)
 
-    def path(
-        self,
-        now_s: float,
-        vehicle: VehicleState,
-        consensus: Consensus,
-        reference: FormationState | None,
-        heading: Heading,
-        slots_m: dict[int, Vector3],
-    ) -> Path | None:
+    def path(self, now: Entering, reference: FormationState | None) -> Path | None:
         """From here into the own slot; None where the law alone flies. Raises Refused where there is no path."""
-        peers = [peer for peer in consensus.peers.fresh.values() if peer.packet.armed]
         if self._joins:
-            slot_m = slots_m[self._own_id]
-            return self._joining.path(now_s, vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot_m, heading, peers)
-        recent = now_s - self._commanded_s <= COMMANDED_WITHIN_S
-        fleet, ends_in_s = self._fleet(now_s, reference, peers)
-        frame = Frame(fleet, heading, slots_m)
+            return self._joining.path(now)
+        forming = FORM_OR_HOLD if now.now_s - self._commanded_s <= COMMANDED_WITHIN_S else STREAMING
+        fleet, ends_in_s = self._fleet(now, reference)
         if reference is fleet:
-            forming = STREAMING | {FlightPhase.HOLD} if recent else STREAMING
-            form = [peer for peer in peers if peer.packet.phase in forming]
-            path = self._together.leaders_path(now_s, vehicle, frame, form)
+            path = self._together.leaders_path(now, fleet, forming)
         else:
             if ends_in_s > 0.0:
-                ends_in_s = min(ends_in_s, self._together.longest_s(now_s, vehicle, frame, peers))
-            path = self._together.followers_path(vehicle, frame, ends_in_s)
-        if now_s >= self._check_s:
-            self._check_s = now_s + CHECK_PERIOD_S
-            if refusal := self._together.refusal(now_s, vehicle, frame, path, peers, recent):
+                ends_in_s = min(ends_in_s, self._together.longest_s(now, fleet))
+            path = self._together.followers_path(now, fleet, ends_in_s)
+        if now.now_s >= self._check_s:
+            self._check_s = now.now_s + CHECK_PERIOD_S
+            if refusal := self._together.refusal(now, fleet, path, forming):
                 raise Refused(refusal.code, refusal.text)
         return path
 
@@ -119,16 +104,14 @@ class FormationEntry:
             self._lead_in.begin(now_s, mean_state(states) if states else held, held)
         return self._lead_in.added(now_s, held)
 
-    def _fleet(
-        self, now_s: float, reference: FormationState | None, peers: Collection[PeerState]
-    ) -> tuple[FormationState, float]:
+    def _fleet(self, now: Entering, reference: FormationState | None) -> tuple[FormationState, float]:
         """The RFT as the fleet flies it, and the time until the paths of the others end.
 
         A leader knows it, unless others already fly in formation. A follower takes it from a leader that forms, then from
         vehicles in formation, then from a leader in hold, which the fleet waits with, then from vehicles that form.
         Raises Refused.
         """
-        formed = _formed(peers)
+        now_s, peers, formed = now.now_s, now.peers, _formed(now.peers)
         leaders = [p for p in peers if p.packet.role is LEADER and p.packet.phase in COOPERATING]
         forming = [p for p in leaders if p.packet.phase in STREAMING]
         if reference is not None and not formed:
@@ -176,20 +159,10 @@ class Joining:
         """Whether a peer has been in formation long enough for this vehicle to join it."""
         return any(now_s - since_s > JOINS_AFTER_S for since_s in self._since_s.values())
 
-    def path(
-        self,
-        now_s: float,
-        position_enu_m: Vector3,
-        velocity_enu_m_s: Vector3,
-        slot: Vector3,
-        heading: Heading,
-        peers: Collection[PeerState],
-    ) -> Path:
-        """delta from this position and velocity to `slot`, in the formation's own frame, which has this heading.
-
-        `peers` are all that fly. Raises Refused without a vehicle in formation, or where separation_m would not be kept.
-        """
-        formed = [peer for peer in peers if peer.packet.phase is FORMATION]
+    def path(self, now: Entering) -> Path:
+        """delta from here to the own slot. Raises Refused without a vehicle in formation, or within separation_m of one."""
+        now_s, heading, peers, slot = now.now_s, now.heading, now.peers, now.slots_m[self._own_id]
+        formed = _formed(peers)
         self._refuse_while_others_move(peers)
         if not formed:
             raise Refused(Code.NO_FORMATION_TO_JOIN, "no vehicle is in formation any more")
@@ -199,9 +172,9 @@ class Joining:
             if apart_m < self._separation_m:
                 text = f"its slot is taken: vehicle {peer.packet.sender.vehicle_id} flies {apart_m:.2f} m from it"
                 raise Refused(Code.SLOT_TAKEN, text)
-        delta, lasts_s = gentle_path(
-            offset_from(position_enu_m, velocity_enu_m_s, fleet, slot, heading), self._speed_m_s
-        )
+        position_enu_m, velocity_enu_m_s = now.vehicle.position_enu_m, now.vehicle.velocity_enu_m_s
+        offset = offset_from(position_enu_m, velocity_enu_m_s, fleet, slot, heading)
+        delta, lasts_s = gentle_path(offset, self._speed_m_s)
         x, y, z = fleet.position_enu_m
         points = [delta(lasts_s * k / SAMPLES)[0] for k in range(SAMPLES + 1)]
         for peer in peers:

@@ -12,6 +12,7 @@ from companion.core.consensus.stage import Consensus
 from companion.core.formation.changes import NOTHING_CHANGED, Changes, Situation
 from companion.core.formation.entry import FormationEntry
 from companion.core.formation.gaps import GapFilling
+from companion.core.formation.paths import Entering
 from companion.core.formation.slots import SlotPlan
 from companion.core.reference.heading import CourseHeading
 from companion.core.reference.plan import ReferencePlan
@@ -78,10 +79,6 @@ class GuidanceStage:
         self._slot = slots.flown
         self._formed: list[int] = []  # the peers in formation
 
-    @property
-    def _flown_heading(self) -> Heading:
-        return self._heading.flown if self._heading else EAST
-
     def step(
         self,
         now_s: float,
@@ -120,7 +117,7 @@ class GuidanceStage:
         refusal_to_enter, warning_to_enter = None, None
         if flight.phase in MAY_FORM and _forms(commands):
             refusal_to_enter, warning_to_enter = self._entry.judge_command(
-                now_s, vehicle, consensus, known, self._flown_heading, slots.slots_enu_m
+                self._entering(now_s, vehicle, consensus), known
             )
         return Guidance(
             slot=self._slot,
@@ -180,6 +177,11 @@ class GuidanceStage:
         text = f"the reference of this vehicle is {off_m:.1f} m from where the fleet flies"
         return Notice(Code.REFERENCE_OFF_FLEET, text)
 
+    def _entering(self, now_s: float, vehicle: VehicleState, consensus: Consensus) -> Entering:
+        armed = [peer for peer in consensus.peers.fresh.values() if peer.packet.armed]
+        heading = self._heading.flown if self._heading else EAST
+        return Entering(now_s, vehicle, armed, heading, self._slots.slots_enu_m)
+
     def _enter(
         self, now_s: float, vehicle: VehicleState, flight: Flight, consensus: Consensus, known: FormationState | None
     ) -> tuple[PhaseRequest, ...]:
@@ -190,7 +192,7 @@ class GuidanceStage:
         elif flight.phase is ENGAGE:
             slots.end_path()
             try:
-                path = self._entry.path(now_s, vehicle, consensus, known, self._flown_heading, slots.slots_enu_m)
+                path = self._entry.path(self._entering(now_s, vehicle, consensus), known)
             except Refused as refusal:
                 return (PhaseRequest(PhaseChange.HAND_OVER, refusal.notice.about("does not enter formation")),)
             if path:

@@ -6,7 +6,7 @@ Peers know such a path as well: the quintic that begins with the published motio
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from math import acos, acosh, dist, exp, hypot, sqrt
 
 from msgspec import Struct
@@ -102,13 +102,16 @@ SLACK = 1.15  # of the duration: a vehicle that enters a little later still ends
 BELIEVED = 2.0  # times what the farthest vehicle needs: a peer that publishes a longer duration is wrong
 PATH_MARGIN_M = 0.05  # a path counts where it is nearer than both its ends by this; slots too close are another check
 PATH_SAMPLES = 40
+FORM_OR_HOLD = STREAMING | {FlightPhase.HOLD}  # where all that hold were commanded to form as well
 VERTICAL = frozenset({FlightPhase.TAKEOFF, FlightPhase.LAND, FlightPhase.RETURN})  # any height may be flown through
 
 
-class Frame(Struct, frozen=True, gc=False):
-    """The formation that a vehicle enters: the state of the RFT as the fleet flies it, its heading, and all slots in it."""
+class Entering(Struct, frozen=True, gc=False):
+    """This vehicle and the armed peers as it enters formation; heading and slots of the formation, in its own frame."""
 
-    fleet: FormationState
+    now_s: float
+    vehicle: VehicleState
+    peers: Sequence[PeerState]
     heading: Heading
     slots_m: Mapping[int, Vector3]
 
@@ -133,15 +136,13 @@ class FormingTogether:
         self._law_within_m = law_within_m
         self._slots_have_height = slots_have_height
 
-    def leaders_path(
-        self, now_s: float, vehicle: VehicleState, frame: Frame, peers: Iterable[PeerState]
-    ) -> Path | None:
-        """The path of the first leader, long enough for all `peers` that form; None where the law alone flies.
+    def leaders_path(self, now: Entering, fleet: FormationState, forming: Collection[FlightPhase]) -> Path | None:
+        """The path of the first leader, long enough for all peers in these phases; None where the law alone flies.
 
-        Raises Refused for a slot that is too far away.
+        `fleet` is the state of the RFT as the fleet flies it. Raises Refused for a slot that is too far away.
         """
-        own = self._own_offset(vehicle, frame)
-        offsets = [own, *(self._peer_offset(now_s, peer, frame) for peer in peers)]
+        own = self._own_offset(now, fleet)
+        offsets = [own, *(self._peer_offset(now, fleet, peer) for peer in now.peers if peer.packet.phase in forming)]
         differ_m = max(dist(own.position_m, offset.position_m) for offset in offsets)
         farthest_m = max(offset.distance_m for offset in offsets)
         near = farthest_m <= self._law_within_m and differ_m <= SPREAD * self._law_within_m
@@ -149,37 +150,28 @@ class FormingTogether:
             return None
         return gentle_path(own, self._speed_m_s, min(SLACK * self._needed_s(farthest_m), LONGEST_S))
 
-    def longest_s(self, now_s: float, vehicle: VehicleState, frame: Frame, peers: Iterable[PeerState]) -> float:
+    def longest_s(self, now: Entering, fleet: FormationState) -> float:
         """The longest duration that a path of these vehicles may have. One packet may report any."""
-        in_air = [self._peer_offset(now_s, peer, frame) for peer in peers if peer.packet.phase not in ON_GROUND]
-        offsets = [self._own_offset(vehicle, frame), *in_air]
+        in_air = [self._peer_offset(now, fleet, peer) for peer in now.peers if peer.packet.phase not in ON_GROUND]
+        offsets = [self._own_offset(now, fleet), *in_air]
         return BELIEVED * self._needed_s(max(offset.distance_m for offset in offsets))
 
-    def followers_path(self, vehicle: VehicleState, frame: Frame, ends_in_s: float) -> Path | None:
+    def followers_path(self, now: Entering, fleet: FormationState, ends_in_s: float) -> Path | None:
         """The path that ends in `ends_in_s` with that of the leader; None where that flies none and this vehicle is near.
 
         Raises Refused for a slot that is too far away.
         """
-        own = self._own_offset(vehicle, frame)
+        own = self._own_offset(now, fleet)
         near = own.distance_m <= SPREAD * self._law_within_m and own.speed_m_s <= self._speed_m_s
         if near and ends_in_s == 0.0:
             return None
         return gentle_path(own, self._speed_m_s, ends_in_s)
 
     def refusal(
-        self,
-        now_s: float,
-        vehicle: VehicleState,
-        frame: Frame,
-        path: Path | None,
-        peers: Iterable[PeerState],
-        all_form: bool,
+        self, now: Entering, fleet: FormationState, path: Path | None, forming: Collection[FlightPhase]
     ) -> Notice | None:
-        """Why this path must not be flown: it comes too near to a peer that does not form.
-
-        `all_form`: peers in hold count as if they were commanded to form as well.
-        """
-        for peer_id, apart_m, forms in self._too_close(now_s, vehicle, frame, path, peers, all_form):
+        """Why this path must not be flown: it comes too near to a peer that is in none of the phases `forming`."""
+        for peer_id, apart_m, forms in self._too_close(now, fleet, path, forming):
             if not forms:
                 text = (
                     f"the path to its slot comes within {apart_m:.2f} m of vehicle {peer_id}, which does not form;"
@@ -188,50 +180,42 @@ class FormingTogether:
                 return Notice(Code.PATH_TOO_CLOSE, text)
         return None
 
-    def crossing(
-        self, now_s: float, vehicle: VehicleState, frame: Frame, path: Path | None, peers: Iterable[PeerState]
-    ) -> Notice | None:
+    def crossing(self, now: Entering, fleet: FormationState, path: Path | None) -> Notice | None:
         """The warning of the nearest peer whose path this one crosses, where all in hold form as well."""
-        conflicts = self._too_close(now_s, vehicle, frame, path, peers, all_form=True)
+        conflicts = self._too_close(now, fleet, path, FORM_OR_HOLD)
         nearest = min(((apart_m, i) for i, apart_m, forms in conflicts if forms), default=None)
         return nearest and crossing_notice(self._own_id, nearest[1], nearest[0], self._separation_m)
 
     def _too_close(
-        self,
-        now_s: float,
-        vehicle: VehicleState,
-        frame: Frame,
-        path: Path | None,
-        peers: Iterable[PeerState],
-        all_form: bool,
+        self, now: Entering, fleet: FormationState, path: Path | None, forming: Collection[FlightPhase]
     ) -> Iterator[tuple[int, float, bool]]:
         """(peer, distance in m, whether it forms) of each peer that comes too near on the way."""
-        forming = STREAMING | {FlightPhase.HOLD} if all_form else STREAMING
-        own, slot_m = self._own_offset(vehicle, frame), frame.slots_m[self._own_id]
+        own, slot_m = self._own_offset(now, fleet), now.slots_m[self._own_id]
         delta, lasts_s = path or path_from(own, self._needed_s(own.distance_m))
-        for peer in sorted(peers, key=lambda p: p.packet.sender.vehicle_id):
+        for peer in sorted(now.peers, key=lambda p: p.packet.sender.vehicle_id):
             packet = peer.packet
             if packet.phase in ON_GROUND or not packet.armed:
                 continue
             forms = packet.phase in forming
-            motion = self.peers_path(now_s, peer, frame, lasts_s) if forms else self._staying(now_s, peer, frame)
+            motion = self.peers_path(now, fleet, peer, lasts_s) if forms else self._staying(now, fleet, peer)
             level = packet.phase in VERTICAL or not self._slots_have_height
             longest_s = max(lasts_s, packet.slot.moves_for_s)
-            apart_m = _distances_m(slot_m, delta, frame.slots_m[packet.sender.vehicle_id], motion, longest_s, level)
+            apart_m = _distances_m(slot_m, delta, now.slots_m[packet.sender.vehicle_id], motion, longest_s, level)
             ends_m = min(apart_m[0], apart_m[-1]) if forms else apart_m[0]
             if min(apart_m) < self._separation_m - ROUNDING_M and min(apart_m) < ends_m - PATH_MARGIN_M:
                 yield packet.sender.vehicle_id, min(apart_m), forms
 
-    def _own_offset(self, vehicle: VehicleState, frame: Frame) -> Offset:
-        return self._offset(self._own_id, vehicle.position_enu_m, vehicle.velocity_enu_m_s, frame)
+    def _own_offset(self, now: Entering, fleet: FormationState) -> Offset:
+        vehicle, slot_m = now.vehicle, now.slots_m[self._own_id]
+        return self._offset(offset_from(vehicle.position_enu_m, vehicle.velocity_enu_m_s, fleet, slot_m, now.heading))
 
-    def _peer_offset(self, now_s: float, peer: PeerState, frame: Frame) -> Offset:
+    def _peer_offset(self, now: Entering, fleet: FormationState, peer: PeerState) -> Offset:
+        motion, slot_m = peer.packet.motion, now.slots_m[peer.packet.sender.vehicle_id]
         return self._offset(
-            peer.packet.sender.vehicle_id, peer.position_at(now_s), peer.packet.motion.velocity_enu_m_s, frame
+            offset_from(peer.position_at(now.now_s), motion.velocity_enu_m_s, fleet, slot_m, now.heading)
         )
 
-    def _offset(self, vehicle_id: int, position_enu_m: Vector3, velocity_enu_m_s: Vector3, frame: Frame) -> Offset:
-        offset = offset_from(position_enu_m, velocity_enu_m_s, frame.fleet, frame.slots_m[vehicle_id], frame.heading)
+    def _offset(self, offset: Offset) -> Offset:
         if self._slots_have_height:
             return offset
         (x, y, _), (vx, vy, _) = offset.position_m, offset.velocity_m_s
@@ -240,18 +224,18 @@ class FormingTogether:
     def _needed_s(self, distance_m: float) -> float:
         return max(SHORTEST_S, duration_s(distance_m, self._speed_m_s, SLOT_ACCELERATION_M_S2))
 
-    def peers_path(self, now_s: float, peer: PeerState, frame: Frame, lasts_s: float) -> Curve:
+    def peers_path(self, now: Entering, fleet: FormationState, peer: PeerState, lasts_s: float) -> Curve:
         """Offset of a peer from its slot over time: the rest of its published path, or a path as long as the own one."""
-        offset, slot = self._peer_offset(now_s, peer, frame), peer.packet.slot
+        offset, slot = self._peer_offset(now, fleet, peer), peer.packet.slot
         if not slot.moves:
             return path_from(offset, lasts_s)[0]
-        velocity = in_formation_frame(slot.velocity_enu_m_s, frame.heading)
-        acceleration = in_formation_frame(slot.acceleration_enu_m_s2, frame.heading)
+        velocity = in_formation_frame(slot.velocity_enu_m_s, now.heading)
+        acceleration = in_formation_frame(slot.acceleration_enu_m_s2, now.heading)
         return decay_to_rest((offset.position_m, velocity, acceleration), slot.moves_for_s)
 
-    def _staying(self, now_s: float, peer: PeerState, frame: Frame) -> Curve:
+    def _staying(self, now: Entering, fleet: FormationState, peer: PeerState) -> Curve:
         """Offset from its slot of a peer that stays where it is, while the formation moves on at its present velocity."""
-        offset = self._peer_offset(now_s, peer, frame)
+        offset = self._peer_offset(now, fleet, peer)
         (x, y, z), (vx, vy, vz) = offset.position_m, offset.velocity_m_s
         return lambda t: ((x + vx * t, y + vy * t, z + vz * t), offset.velocity_m_s, (0.0, 0.0, 0.0))
 

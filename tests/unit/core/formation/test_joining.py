@@ -9,7 +9,9 @@ import pytest
 
 from companion.core.consensus.peers import PeerState
 from companion.core.formation.entry import JOINS_AFTER_S, Joining
+from companion.core.formation.paths import Entering
 from companion.geometry.formations import turned_slot
+from companion.types.autopilot import VehicleState
 from companion.types.flight import FlightPhase
 from companion.types.formation import EAST, FlownSlot, Heading
 from companion.types.notices import Refused
@@ -19,6 +21,10 @@ from consensus_fleet import FLEET, NOW_S, PEER_SLOTS, peer
 
 def joining() -> Joining:
     return Joining(3, separation_m=1.0, speed_m_s=1.0)
+
+
+def entering(at: Vector3, *peers: PeerState, heading: Heading = EAST, slot: Vector3 = PEER_SLOTS[3]) -> Entering:
+    return Entering(NOW_S, VehicleState(position_enu_m=at), peers, heading, {3: slot})
 
 
 def test_joining_is_due_when_a_peer_has_been_in_formation_for_a_while() -> None:
@@ -34,7 +40,7 @@ def test_joining_is_due_when_a_peer_has_been_in_formation_for_a_while() -> None:
 @pytest.mark.parametrize("moves_m_s", [ZERO3, (2.0, 0.0, 0.0)])
 def test_the_path_begins_at_position_and_velocity_and_ends_in_the_slot(moves_m_s: Vector3) -> None:
     start: Vector3 = (0.0, 3.0, 2.0)
-    delta, lasts_s = joining().path(NOW_S, start, ZERO3, PEER_SLOTS[3], EAST, [peer(1, moves_m_s), peer(2, moves_m_s)])
+    delta, lasts_s = joining().path(entering(start, peer(1, moves_m_s), peer(2, moves_m_s)))
     begin, end = delta(0.0), delta(lasts_s)
     assert begin[0] == pytest.approx((-6.0, 3.0, -3.0))  # of x - r - d
     assert begin[1] == pytest.approx([-v for v in moves_m_s])
@@ -51,7 +57,7 @@ def test_the_path_begins_at_rest_when_the_formation_turns() -> None:
         slot = turned_slot(FlownSlot(PEER_SLOTS[vehicle_id]), heading)
         x, y, z = (r + d for r, d in zip(FLEET, slot.position_enu_m, strict=True))
         peers.append(peer(vehicle_id, slot.velocity_enu_m_s, position_enu_m=(x, y, z), slot=slot))
-    delta, lasts_s = joining().path(NOW_S, start, ZERO3, PEER_SLOTS[3], heading, peers)
+    delta, lasts_s = joining().path(entering(start, *peers, heading=heading))
     assert delta(lasts_s)[0] == pytest.approx(ZERO3)
     position, velocity, _ = delta(0.0)
     x, y, z = (d + e for d, e in zip(PEER_SLOTS[3], position, strict=True))
@@ -81,16 +87,16 @@ def test_the_path_begins_at_rest_when_the_formation_turns() -> None:
 def test_joining_is_refused_with_the_reason_when_there_is_no_path(peers: list[PeerState], text: str) -> None:
     start: Vector3 = (-5000.0, 0.0, 5.0) if text == "too far" else (-2.0, 0.0, 5.0)
     with pytest.raises(Refused, match=text):
-        joining().path(NOW_S, start, ZERO3, PEER_SLOTS[3], EAST, peers)
+        joining().path(entering(start, *peers))
 
 
 def test_a_path_beside_the_formation_keeps_the_separation() -> None:
     """From ahead of the column to its end, 1.2 m beside it; straight through it is refused."""
     beside: Vector3 = (14.0, 4.0, 5.0)
-    delta, lasts_s = joining().path(NOW_S, beside, ZERO3, (-4.0, 4.0, 0.0), EAST, [peer(1), peer(2)])
+    delta, lasts_s = joining().path(entering(beside, peer(1), peer(2), slot=(-4.0, 4.0, 0.0)))
     points = [
         tuple(d + e for d, e in zip((-4.0, 4.0, 0.0), delta(t)[0], strict=True)) for t in np.linspace(0, lasts_s, 99)
     ]
     assert min(dist(point, PEER_SLOTS[i]) for point in points for i in (1, 2)) >= 1.0
     with pytest.raises(Refused, match="of vehicle 1; expected at least separation_m, 1 m"):
-        joining().path(NOW_S, (14.0, 0.0, 5.0), ZERO3, PEER_SLOTS[3], EAST, [peer(1), peer(2)])
+        joining().path(entering((14.0, 0.0, 5.0), peer(1), peer(2)))
