@@ -12,7 +12,7 @@ from companion.config.file import ConfigError, convert, refuse
 from companion.config.fleet import EdgeNeighbours, FleetConfig, Law, LawName
 from companion.config.reference import Reference, ReferenceSection, TargetReference
 from companion.config.reference_check import most_pace, reference_checks
-from companion.config.validation import Problem, needs
+from companion.config.validation import Problem, needs, without_pauses
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
 from companion.core.command.arbitration import CommandArbitration, CommandDispatcher
@@ -199,18 +199,6 @@ def _setpoint(config: AgentConfig, stream: SetpointStream, flown_for_s: float) -
     )
 
 
-def flyable_problems(
-    fleet: FleetConfig,
-    reference: Reference,
-    where: str = "reference",
-    slots_enu_m: Mapping[int, Vector3] | None = None,
-    drag_1_s: float = USUAL_DRAG_1_S,
-) -> Iterator[Problem]:
-    """`reference_problems`, and where there are none, whether the law follows it without compressing the formation."""
-    checks = flyable_checks(fleet, reference, where, slots_enu_m, drag_1_s)
-    return (problem for problem in checks if problem is not None)
-
-
 def flyable_checks(
     fleet: FleetConfig,
     reference: Reference,
@@ -218,7 +206,7 @@ def flyable_checks(
     slots_enu_m: Mapping[int, Vector3] | None = None,
     drag_1_s: float = USUAL_DRAG_1_S,
 ) -> Iterator[Problem | None]:
-    """`flyable_problems`, with None after each part of the work."""
+    """`reference_checks`, and where they find nothing, whether the law follows without compressing the formation."""
     needs(reference)
     refused = False
     for problem in reference_checks(fleet, reference, where, slots_enu_m):
@@ -227,6 +215,9 @@ def flyable_checks(
     if not refused:
         slots = slots_enu_m or {member.id: member.slot_enu_m for member in fleet.vehicles}
         yield (yield from following_steps(fleet, law_of(fleet.law), reference, slots, drag_1_s, where))
+
+
+flyable_problems = without_pauses(flyable_checks)
 
 
 def check_agent(file: Path, config: AgentConfig) -> None:

@@ -14,23 +14,10 @@ from companion.config.validation import Problem, needs
 from companion.core.consensus.law import FormationLaw
 from companion.geometry.formations import to_separation_metric
 from companion.types.flight import Role
-from companion.types.steps import Steps, whole
+from companion.types.steps import Steps
 from companion.types.values import GRAVITY_M_S2, Vector3
 
 USUAL_DRAG_1_S = 0.25  # of a small open quadrotor
-
-
-def following_problems(
-    fleet: FleetConfig,
-    law: FormationLaw,
-    reference: Reference,
-    slots_enu_m: Mapping[int, Vector3],
-    drag_1_s: float = USUAL_DRAG_1_S,
-    where: str = "reference",
-) -> Iterator[Problem]:
-    """One problem where the formation would be compressed below separation_m, with the pace that would be accepted."""
-    problem = whole(following_steps(fleet, law, reference, slots_enu_m, drag_1_s, where))
-    return iter(() if problem is None else (problem,))
 
 
 def following_steps(
@@ -41,7 +28,7 @@ def following_steps(
     drag_1_s: float = USUAL_DRAG_1_S,
     where: str = "reference",
 ) -> Steps[Problem | None]:
-    """`following_problems` in steps."""
+    """A problem where the formation would be compressed below separation_m, with the pace that would be accepted."""
     needs(reference)
     motions = reference.motions(fleet.slots_turn)
     if not motions or len(slots_enu_m) < 2:

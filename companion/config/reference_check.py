@@ -9,7 +9,7 @@ from pathlib import Path
 from companion.config.file import refuse
 from companion.config.fleet import FleetConfig
 from companion.config.reference import LappingReference, LimitedReference, Reference
-from companion.config.validation import Problem, each, needs
+from companion.config.validation import Problem, each, needs, without_pauses
 from companion.geometry.airspace import Airspace, conflict_steps, leg_conflict_steps, nearest_kind
 from companion.geometry.curves import PEAK_SPEED, duration_s
 from companion.geometry.formations import SLOT_ACCELERATION_M_S2, course, reach_m, swept, turn_limits
@@ -20,28 +20,14 @@ from companion.types.values import GRAVITY_M_S2, Vector3
 ROUNDED = 1.0 + 1e-9  # a limit that is met exactly is met
 
 
-def check_reference(
-    file: Path, fleet: FleetConfig, reference: Reference, slots_enu_m: Mapping[int, Vector3] | None = None
-) -> None:
-    """Raises ConfigError with all `reference_problems`."""
-    refuse(file, reference_problems(fleet, reference, slots_enu_m=slots_enu_m))
-
-
-def reference_problems(
+def reference_checks(
     fleet: FleetConfig, reference: Reference, where: str = "reference", slots_enu_m: Mapping[int, Vector3] | None = None
-) -> Iterator[Problem]:
-    """Each slot r + d_i0 must stay inside the fence, and the fleet must be able to follow r.
+) -> Iterator[Problem | None]:
+    """Each slot r + d_i0 must stay inside the fence, and the fleet must be able to follow r. None after each part of the work.
 
     `slots_enu_m`: the slots of the formation that is flown; None for those of the fleet file.
     `where`: the path of the section of the reference.
     """
-    return (problem for problem in reference_checks(fleet, reference, where, slots_enu_m) if problem is not None)
-
-
-def reference_checks(
-    fleet: FleetConfig, reference: Reference, where: str = "reference", slots_enu_m: Mapping[int, Vector3] | None = None
-) -> Iterator[Problem | None]:
-    """`reference_problems`, with None after each part of the work."""
     needs(reference)
     slots = slots_enu_m or {member.id: member.slot_enu_m for member in fleet.vehicles}
     yield from each(
@@ -54,6 +40,16 @@ def reference_checks(
         yield None
     if fleet.slots_turn and isinstance(reference, LappingReference):
         yield from each(_turns(where, fleet, reference, slots))
+
+
+reference_problems = without_pauses(reference_checks)
+
+
+def check_reference(
+    file: Path, fleet: FleetConfig, reference: Reference, slots_enu_m: Mapping[int, Vector3] | None = None
+) -> None:
+    """Raises ConfigError with all `reference_problems`."""
+    refuse(file, reference_problems(fleet, reference, slots_enu_m=slots_enu_m))
 
 
 def most_pace(fleet: FleetConfig) -> tuple[float, float]:

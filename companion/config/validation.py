@@ -9,9 +9,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator
 from enum import Enum
+from functools import wraps
 from math import isfinite
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, NoReturn, TypeVar, Union, cast, get_args, get_origin
+from typing import Annotated, Any, Literal, NamedTuple, NoReturn, ParamSpec, TypeVar, Union, cast, get_args, get_origin
 
 import msgspec
 from msgspec import NODEFAULT, Meta, Struct
@@ -19,6 +20,7 @@ from msgspec.structs import FieldInfo, fields
 
 from companion.types.errors import CompanionError
 
+Arguments = ParamSpec("Arguments")
 T = TypeVar("T")
 YAML_NAMES = {"object": "a section with keys", "array": "a list"}  # of msgspec's names for types
 
@@ -56,6 +58,16 @@ def each(*checks: Iterable[T]) -> Iterator[T]:
             yield from check
         except InvalidFieldError:
             continue
+
+
+def without_pauses(checks: Callable[Arguments, Iterator[T | None]]) -> Callable[Arguments, Iterator[T]]:
+    """The same check without the None that it yields after each part of the work."""
+
+    @wraps(checks)
+    def found(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Iterator[T]:
+        return (result for result in checks(*args, **kwargs) if result is not None)
+
+    return found
 
 
 def examine(data: Any, type_: Any, field: str = "") -> tuple[Any, list[Problem]]:

@@ -12,7 +12,7 @@ from math import cos, dist, hypot, inf, pi, sin, sqrt
 from msgspec import Struct
 
 from companion.geometry.vectors import plus
-from companion.types.steps import Steps, whole
+from companion.types.steps import Steps
 from companion.types.values import Vector3
 
 Corner = tuple[float, float]
@@ -251,20 +251,13 @@ SHORTEST_STEP_M = 0.25  # along a wall; deeper than half of it no path gets into
 ROUNDING_M = 1e-6
 
 
-def first_conflict(
-    airspace: Airspace, position_at: Callable[[float], Vector3], length: float, rate_m: float, around_m: float = 0.0
-) -> Vector3 | None:
-    """The first position of a path that is nearer than `around_m` to what the airspace excludes; None for a clear path.
-
-    The path runs from parameter 0 to `length` and moves at most `rate_m` for each unit of it.
-    """
-    return whole(conflict_steps(airspace, position_at, length, rate_m, around_m))
-
-
 def conflict_steps(
     airspace: Airspace, position_at: Callable[[float], Vector3], length: float, rate_m: float, around_m: float = 0.0
 ) -> Steps[Vector3 | None]:
-    """`first_conflict`, a step for each position."""
+    """The first position of a path that is nearer than `around_m` to what the airspace excludes; None for a clear path.
+
+    The path runs from parameter 0 to `length` and moves at most `rate_m` for each unit of it. A step for each position.
+    """
     at = 0.0
     while True:
         position = position_at(at)
@@ -277,15 +270,10 @@ def conflict_steps(
         at = min(length, at + max(room_m, SHORTEST_STEP_M) / rate_m)
 
 
-def leg_conflict(airspace: Airspace, start_m: Vector3, end_m: Vector3, around_m: float = 0.0) -> Vector3 | None:
-    """`first_conflict` of a straight line."""
-    return whole(leg_conflict_steps(airspace, start_m, end_m, around_m))
-
-
 def leg_conflict_steps(
     airspace: Airspace, start_m: Vector3, end_m: Vector3, around_m: float = 0.0
 ) -> Steps[Vector3 | None]:
-    """`leg_conflict`, a step for each position."""
+    """`conflict_steps` of a straight line."""
     length_m = dist(start_m, end_m)
     if length_m == 0.0:
         return (yield from conflict_steps(airspace, lambda _: start_m, 0.0, 1.0, around_m))

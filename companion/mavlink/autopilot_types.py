@@ -22,7 +22,12 @@ AGENT_STREAMS = frozenset(
 
 def autopilot_kind(heartbeat: MavlinkMessage) -> AutopilotKind | None:
     """Type of the autopilot that sent this HEARTBEAT; None where the product does not know it."""
-    return next((kind for kind, dialect in DIALECTS.items() if dialect.matches(heartbeat)), None)
+    for kind, dialect in DIALECTS.items():
+        if heartbeat.autopilot == dialect.MAV_AUTOPILOT and (
+            not dialect.MAV_TYPES or heartbeat.type in dialect.MAV_TYPES
+        ):
+            return kind
+    return None
 
 
 def describe_heartbeat(heartbeat: MavlinkMessage) -> str:

@@ -28,6 +28,12 @@ from companion.types.notices import Code
 mavlink = in_use
 MavlinkMessage = Any  # pymavlink generates its classes without types
 
+
+def named(prefix: str, *names: str) -> frozenset[int]:
+    """The dialect's numbers of these names, which spaces separate, like "HEARTBEAT PING" of MAVLINK_MSG_ID."""
+    return frozenset(getattr(mavlink, f"{prefix}_{name}") for line in names for name in line.split())
+
+
 # ---------------------------------------------------------------- messages that nothing reads
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,15 +10,20 @@ from companion.geometry.frames import Quaternion
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.types.autopilot import (
     Arm,
+    AttitudeSample,
     AttitudeTarget,
     AutopilotMode,
     AutopilotRequest,
     Disarm,
+    LandedSample,
+    PositionSample,
     RequestOrigin,
     RequestParameter,
     SetMode,
+    SystemSample,
     TakeOff,
     Telemetry,
+    ThrustSample,
 )
 
 
@@ -40,32 +44,15 @@ class LogHabits:
 class Dialect(Protocol):
     """What the product knows of an autopilot type: a folder, which is a package with these names."""
 
-    @property
-    def NAME(self) -> str: ...  # noqa: N802  for display
-
-    @property
-    def MAV_AUTOPILOT(self) -> int: ...  # noqa: N802
-
-    @property
-    def PROFILE(self) -> AutopilotProfile: ...  # noqa: N802  what the core knows of it
-
-    @property
-    def LOGS(self) -> LogHabits: ...  # noqa: N802
-
-    @property
-    def STREAMS_US(self) -> Mapping[int, int]:  # noqa: N802
-        """Requested message intervals: message id -> microseconds; -1 is off."""
-
-    @property
-    def MIN_RATE_HZ(self) -> Mapping[type[Telemetry], tuple[str, float]]:  # noqa: N802
-        """Telemetry that the agent needs: name and lowest rate. Below it all streams are requested again."""
-
-    @property
-    def ATTITUDE_TYPE_MASK(self) -> int:  # noqa: N802
-        """type_mask of SET_ATTITUDE_TARGET with attitude and thrust."""
-
-    def matches(self, heartbeat: MavlinkMessage) -> bool:
-        """Whether this HEARTBEAT is of an autopilot of this dialect."""
+    NAME: str  # for display
+    MAV_AUTOPILOT: int
+    MAV_TYPES: frozenset[int]  # of its vehicles; empty for any
+    PROFILE: AutopilotProfile  # what the core knows of it
+    LOGS: LogHabits
+    STREAMS_US: dict[int, int]  # requested message intervals: message id -> microseconds; -1 is off
+    # Telemetry that the agent needs: name and lowest rate. Below it all streams are requested again.
+    MIN_RATE_HZ: dict[type[Telemetry], tuple[str, float]]
+    ATTITUDE_TYPE_MASK: int  # type_mask of SET_ATTITUDE_TARGET with attitude and thrust
 
     def mode_of(self, custom_mode: int) -> tuple[AutopilotMode, str]:
         """Meaning of a custom_mode, and its name in the autopilot's documentation."""
@@ -82,6 +69,14 @@ class Dialect(Protocol):
     def parameter_value(self, message: MavlinkMessage) -> float:
         """The value in PARAM_VALUE, with integers decoded."""
 
+
+MIN_RATE_HZ_OF_ALL: dict[type[Telemetry], tuple[str, float]] = {
+    PositionSample: ("positions", 40.0),
+    AttitudeSample: ("attitudes", 40.0),
+    LandedSample: ("landed states", 2.0),
+    SystemSample: ("battery states", 1.0),
+    ThrustSample: ("thrusts", 5.0),  # PX4's default of 10 Hz is enough
+}
 
 # Command of a COMMAND_ACK -> requests that it may answer.
 ANSWERS: dict[int, tuple[type, ...]] = {

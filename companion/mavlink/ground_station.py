@@ -10,78 +10,44 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Set
 
-from companion.mavlink.codec import MavlinkMessage, PacketReader, mavlink
+from companion.mavlink.codec import MavlinkMessage, PacketReader, mavlink, named
 from companion.types.flight import FLYING, FlightPhase
 from companion.types.notices import Code
 
-SETPOINTS = {
-    mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET,
-    mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
-    mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
-    mavlink.MAVLINK_MSG_ID_SET_ACTUATOR_CONTROL_TARGET,
-}
+SETPOINTS = named(
+    "MAVLINK_MSG_ID",
+    "SET_ATTITUDE_TARGET SET_POSITION_TARGET_LOCAL_NED SET_POSITION_TARGET_GLOBAL_INT SET_ACTUATOR_CONTROL_TARGET",
+)
 # Groups of REQUEST_DATA_STREAM that contain positions or attitudes; QGroundControl requests them from ArduPilot at 3 Hz.
-SHARED_GROUPS = {mavlink.MAV_DATA_STREAM_ALL, mavlink.MAV_DATA_STREAM_POSITION, mavlink.MAV_DATA_STREAM_EXTRA1}
-COMMANDS = (mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT)
+SHARED_GROUPS = named("MAV_DATA_STREAM", "ALL POSITION EXTRA1")
+COMMANDS = named("MAVLINK_MSG_ID", "COMMAND_LONG COMMAND_INT")
 
 # The phases in which the agent has the vehicle. Before arming and while it observes, the operator may configure the autopilot.
 AGENT_FLIES = FLYING | {FlightPhase.ARM, FlightPhase.ARMED}
 
-MESSAGES_IN_FLIGHT = frozenset(
-    {
-        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
-        mavlink.MAVLINK_MSG_ID_PING,
-        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
-        mavlink.MAVLINK_MSG_ID_TIMESYNC,
-        mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
-        mavlink.MAVLINK_MSG_ID_RADIO_STATUS,
-        # The pilot
-        mavlink.MAVLINK_MSG_ID_SET_MODE,
-        mavlink.MAVLINK_MSG_ID_MANUAL_CONTROL,
-        mavlink.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE,
-        # Corrections and positions that the estimator must not miss in flight
-        mavlink.MAVLINK_MSG_ID_GPS_RTCM_DATA,
-        mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE,
-        mavlink.MAVLINK_MSG_ID_ATT_POS_MOCAP,
-        # Reading
-        mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM,
-        mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
-        mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
-        mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
-        mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
-        mavlink.MAVLINK_MSG_ID_MISSION_ACK,
-        # Remote identification by law
-        mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_BASIC_ID,
-        mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM,
-        mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM_UPDATE,
-        mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_OPERATOR_ID,
-        mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_SELF_ID,
-    }
+MESSAGES_IN_FLIGHT = named(
+    "MAVLINK_MSG_ID",
+    "HEARTBEAT PING SYSTEM_TIME TIMESYNC COMMAND_ACK RADIO_STATUS",
+    # The pilot
+    "SET_MODE MANUAL_CONTROL RC_CHANNELS_OVERRIDE",
+    # Corrections and positions that the estimator must not miss in flight
+    "GPS_RTCM_DATA VISION_POSITION_ESTIMATE ATT_POS_MOCAP",
+    # Reading
+    "REQUEST_DATA_STREAM PARAM_REQUEST_LIST PARAM_REQUEST_READ MISSION_REQUEST_LIST MISSION_REQUEST_INT MISSION_ACK",
+    # Remote identification by law
+    "OPEN_DRONE_ID_BASIC_ID OPEN_DRONE_ID_SYSTEM OPEN_DRONE_ID_SYSTEM_UPDATE OPEN_DRONE_ID_OPERATOR_ID OPEN_DRONE_ID_SELF_ID",
 )
-COMMANDS_IN_FLIGHT = frozenset(
-    {
-        # Changes of mode: the agent observes from then on
-        mavlink.MAV_CMD_DO_SET_MODE,
-        mavlink.MAV_CMD_NAV_LAND,
-        mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
-        mavlink.MAV_CMD_NAV_LOITER_UNLIM,
-        # Emergencies
-        mavlink.MAV_CMD_DO_FLIGHTTERMINATION,
-        mavlink.MAV_CMD_DO_PARACHUTE,
-        # Reading
-        mavlink.MAV_CMD_REQUEST_MESSAGE,
-        mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
-        mavlink.MAV_CMD_GET_MESSAGE_INTERVAL,
-        mavlink.MAV_CMD_GET_HOME_POSITION,
-        mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
-        # Camera and gimbal
-        mavlink.MAV_CMD_IMAGE_START_CAPTURE,
-        mavlink.MAV_CMD_IMAGE_STOP_CAPTURE,
-        mavlink.MAV_CMD_VIDEO_START_CAPTURE,
-        mavlink.MAV_CMD_VIDEO_STOP_CAPTURE,
-        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW,
-        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE,
-    }
+COMMANDS_IN_FLIGHT = named(
+    "MAV_CMD",
+    # Changes of mode: the agent observes from then on
+    "DO_SET_MODE NAV_LAND NAV_RETURN_TO_LAUNCH NAV_LOITER_UNLIM",
+    # Emergencies
+    "DO_FLIGHTTERMINATION DO_PARACHUTE",
+    # Reading
+    "REQUEST_MESSAGE SET_MESSAGE_INTERVAL GET_MESSAGE_INTERVAL GET_HOME_POSITION REQUEST_AUTOPILOT_CAPABILITIES",
+    # Camera and gimbal
+    "IMAGE_START_CAPTURE IMAGE_STOP_CAPTURE VIDEO_START_CAPTURE VIDEO_STOP_CAPTURE",
+    "DO_GIMBAL_MANAGER_PITCHYAW DO_GIMBAL_MANAGER_CONFIGURE",
 )
 
 

@@ -15,38 +15,22 @@ from math import cos
 
 from companion.geometry.frames import Quaternion
 from companion.mavlink.ardupilot.profile import PROFILE as PROFILE
-from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.mavlink.dialect import LogHabits, command_long, common_command
+from companion.mavlink.codec import MavlinkMessage, mavlink, named
+from companion.mavlink.dialect import MIN_RATE_HZ_OF_ALL, LogHabits, command_long, common_command
 from companion.types.autopilot import (
-    AttitudeSample,
     AttitudeTarget,
     AutopilotMode,
     AutopilotRequest,
     HeartbeatSample,
-    LandedSample,
-    PositionSample,
     SetMode,
-    SystemSample,
     TakeOff,
-    Telemetry,
-    ThrustSample,
 )
 
 NAME = "ArduCopter"
 LOGS = LogHabits(".bin", numbered_by_time=True, ends_when_read=True)
 MAV_AUTOPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 # Planes and rovers report the same MAV_AUTOPILOT with other meanings of the mode numbers.
-MAV_TYPES = frozenset(
-    {
-        mavlink.MAV_TYPE_QUADROTOR,
-        mavlink.MAV_TYPE_COAXIAL,
-        mavlink.MAV_TYPE_TRICOPTER,
-        mavlink.MAV_TYPE_HEXAROTOR,
-        mavlink.MAV_TYPE_OCTOROTOR,
-        mavlink.MAV_TYPE_DECAROTOR,
-        mavlink.MAV_TYPE_DODECAROTOR,
-    }
-)
+MAV_TYPES = named("MAV_TYPE", "QUADROTOR COAXIAL TRICOPTER HEXAROTOR OCTOROTOR DECAROTOR DODECAROTOR")
 
 # custom_mode is the mode number.
 MODE_NAMES = {
@@ -94,22 +78,10 @@ STREAMS_US = {
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1_000_000,
 }
 
-MIN_RATE_HZ: dict[type[Telemetry], tuple[str, float]] = {
-    HeartbeatSample: ("heartbeats", 40.0),
-    PositionSample: ("positions", 40.0),
-    AttitudeSample: ("attitudes", 40.0),
-    LandedSample: ("landed states", 2.0),
-    SystemSample: ("battery states", 1.0),
-    ThrustSample: ("thrusts", 5.0),
-}
+MIN_RATE_HZ = {HeartbeatSample: ("heartbeats", 40.0)} | MIN_RATE_HZ_OF_ALL
 
 ATTITUDE_TYPE_MASK = 7  # ignore body rates
 LEAST_COS_TILT = 0.1  # smallest divisor of the thrust
-
-
-def matches(heartbeat: MavlinkMessage) -> bool:
-    """Whether this HEARTBEAT is of an ArduCopter."""
-    return heartbeat.autopilot == MAV_AUTOPILOT and heartbeat.type in MAV_TYPES
 
 
 @lru_cache(maxsize=64)  # called 50 times per second, mostly with the same mode

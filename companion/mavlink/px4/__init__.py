@@ -8,26 +8,21 @@ from math import nan
 
 from companion.geometry.frames import Quaternion
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.mavlink.dialect import LogHabits, command_long, common_command
+from companion.mavlink.dialect import MIN_RATE_HZ_OF_ALL, LogHabits, command_long, common_command
 from companion.mavlink.px4.profile import PROFILE as PROFILE
 from companion.types.autopilot import (
-    AttitudeSample,
     AttitudeTarget,
     AutopilotMode,
     AutopilotRequest,
-    LandedSample,
     ModeSample,
-    PositionSample,
     SetMode,
-    SystemSample,
     TakeOff,
-    Telemetry,
-    ThrustSample,
 )
 
 NAME = "PX4"
 LOGS = LogHabits(".ulg", silent_without_logs=True)  # in order of its folders
 MAV_AUTOPILOT = mavlink.MAV_AUTOPILOT_PX4
+MAV_TYPES: frozenset[int] = frozenset()  # of any
 
 # custom_mode holds the main mode in its third byte and the sub mode in its fourth.
 MAIN_MODES = {
@@ -66,21 +61,10 @@ STREAMS_US = {
     mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: -1,
 }
 
-MIN_RATE_HZ: dict[type[Telemetry], tuple[str, float]] = {
-    PositionSample: ("positions", 40.0),
-    AttitudeSample: ("attitudes", 40.0),
-    ModeSample: ("modes", 1.2),  # CURRENT_MODE comes at every change and otherwise twice a second
-    LandedSample: ("landed states", 2.0),
-    SystemSample: ("battery states", 1.0),
-    ThrustSample: ("thrusts", 5.0),  # the default of 10 Hz is enough
-}
+# CURRENT_MODE comes at every change and otherwise twice a second.
+MIN_RATE_HZ = MIN_RATE_HZ_OF_ALL | {ModeSample: ("modes", 1.2)}
 
 ATTITUDE_TYPE_MASK = 7  # ignore body rates; bit 6 (throttle ignore) would mean zero thrust
-
-
-def matches(heartbeat: MavlinkMessage) -> bool:
-    """Whether this HEARTBEAT is of a PX4."""
-    return bool(heartbeat.autopilot == MAV_AUTOPILOT)
 
 
 @lru_cache(maxsize=64)  # called 50 times per second, mostly with the same mode

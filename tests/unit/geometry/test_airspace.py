@@ -15,11 +15,12 @@ from companion.geometry.airspace import (
     Fence,
     Obstacle,
     area_m2,
+    conflict_steps,
     crossing_sides,
-    first_conflict,
     in_polygon,
-    leg_conflict,
+    leg_conflict_steps,
 )
+from companion.types.steps import whole
 from companion.types.values import Vector3
 
 U_SHAPE = ((0.0, 0.0), (30.0, 0.0), (30.0, 20.0), (20.0, 20.0), (20.0, 10.0), (10.0, 10.0), (10.0, 20.0), (0.0, 20.0))
@@ -78,11 +79,11 @@ def test_crossing_sides_are_found() -> None:
 
 def test_a_leg_through_a_thin_obstacle_is_found() -> None:
     pole = Airspace(Fence((-50.0, -50.0, 0.0), (50.0, 50.0, 20.0)), (Cylinder((0.0, 0.0), 0.1, -100.0, 100.0),), 0.5)
-    conflict = leg_conflict(pole, (-40.0, 0.3, 5.0), (40.0, 0.3, 5.0))
+    conflict = whole(leg_conflict_steps(pole, (-40.0, 0.3, 5.0), (40.0, 0.3, 5.0)))
     assert conflict is not None and hypot(*conflict[:2]) <= 0.6
-    assert leg_conflict(pole, (-40.0, 0.61, 5.0), (40.0, 0.61, 5.0)) is None
-    assert leg_conflict(pole, (-40.0, 1.5, 5.0), (40.0, 1.5, 5.0), around_m=1.0) is not None
-    assert leg_conflict(pole, (0.0, 0.2, 5.0), (0.0, 0.2, 5.0)) is not None
+    assert whole(leg_conflict_steps(pole, (-40.0, 0.61, 5.0), (40.0, 0.61, 5.0))) is None
+    assert whole(leg_conflict_steps(pole, (-40.0, 1.5, 5.0), (40.0, 1.5, 5.0), around_m=1.0)) is not None
+    assert whole(leg_conflict_steps(pole, (0.0, 0.2, 5.0), (0.0, 0.2, 5.0))) is not None
 
 
 def test_a_curved_path_is_checked_along_its_whole_length() -> None:
@@ -91,5 +92,6 @@ def test_a_curved_path_is_checked_along_its_whole_length() -> None:
     def around_the_notch(angle: float) -> Vector3:
         return (15.0 + 8.0 * cos(angle), 10.0 + 8.0 * sin(angle), 3.0)
 
-    assert first_conflict(airspace, lambda s: around_the_notch(pi + s), pi, 8.0) is None  # below the notch
-    assert first_conflict(airspace, around_the_notch, pi, 8.0) is not None  # through it
+    below_the_notch = conflict_steps(airspace, lambda s: around_the_notch(pi + s), pi, 8.0)
+    assert whole(below_the_notch) is None
+    assert whole(conflict_steps(airspace, around_the_notch, pi, 8.0)) is not None  # through it
