@@ -55,17 +55,11 @@ def encoded_host(host: str) -> bytes:
     if "\0" in host:
         raise LinkError("there is a zero byte in the host, expected one like 192.168.1.11")
     try:
-        return _ascii_host(host) if host.isascii() else host.encode("idna")
+        if host.isascii() and host and not all(0 < len(label) < 64 for label in host.removesuffix(".").split(".")):
+            raise ValueError("label empty or too long")
+        return host.encode() if host.isascii() else host.encode("idna")
     except ValueError as error:
         raise LinkError("the host is neither an address nor a name, expected one like 192.168.1.11") from error
-
-
-def _ascii_host(host: str) -> bytes:
-    """As the codec for names would encode it. Raises ValueError."""
-    labels = host.removesuffix(".").split(".")
-    if host and not all(0 < len(label) < 64 for label in labels):
-        raise ValueError("label empty or too long")
-    return host.encode()
 
 
 def explain(error: OSError, what: str) -> str:
@@ -74,8 +68,15 @@ def explain(error: OSError, what: str) -> str:
     return advice.format(what=what) if advice else f"{what} cannot be opened: {error.strerror or error}"
 
 
+def check_port(port: int) -> None:
+    """Raises LinkError."""
+    if not 0 < port <= 65535:
+        raise LinkError(f"port {port}, expected 1 to 65535")
+
+
 def resolve(host: str, port: int, hint: str, family: int = 0) -> tuple[int, int, int, Any]:
     """Family, kind, protocol and address of a UDP socket. Raises LinkError, with the hint for a name without an address."""
+    check_port(port)
     name = encoded_host(host)
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(name, port, family, socket.SOCK_DGRAM)[0]
@@ -106,8 +107,6 @@ def open_link(endpoint: str, received: Received, all_read: AllRead) -> UdpLink |
         raise LinkError(f"the number at the end has {len(number)} digits, expected at most {LONGEST_NUMBER}")
     if kind == "serial":
         return StreamLink(SerialLine(address, int(number)), received, all_read)
-    if not 0 < int(number) <= 65535:
-        raise LinkError(f"port {number}, expected 1 to 65535")
     if kind == "tcp":
         return StreamLink(TcpConnection(address, int(number)), received, all_read)
     return UdpLink(address, int(number), received, all_read)
@@ -167,17 +166,14 @@ class UdpLink:
         self._socket.close()
 
     def _readable(self) -> None:
-        self._read_waiting()
-        self._all_read()
-
-    def _read_waiting(self) -> None:
         read_bytes = 0
         receive = partial(self._socket.recvmsg, DATAGRAM_BYTES, _ANCILLARY_BYTES)
         for data, ancillary, _, sender in read_waiting(receive, DATAGRAMS_PER_WAKE_UP):
             self._datagram(data, _arrival_s(ancillary), sender)
             read_bytes += len(data)
             if read_bytes > BYTES_PER_WAKE_UP:
-                return
+                break
+        self._all_read()
 
     def _datagram(self, data: bytes, received_s: float, sender: tuple[str, int]) -> None:
         self._anything_arrived = True
@@ -365,6 +361,7 @@ class TcpConnection:
 
     def __init__(self, host: str, port: int) -> None:
         """Raises LinkError."""
+        check_port(port)
         self.name = f"tcp:{host}:{port}"
         self._host, self._port = encoded_host(host), port
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NoReturn
 
-from companion.link.byte_links import LinkError, read_waiting, resolve
+from companion.link.byte_links import read_waiting, resolve
 from companion.mavlink.ground_station import GroundStationFilter
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
@@ -123,8 +123,6 @@ class GroundStationLink:
 def _socket_towards(endpoint: str) -> tuple[socket.socket, tuple[str, int]]:
     """A UDP socket on its own port, and the address of the ground station."""
     host, _, port = endpoint.removeprefix("udpout:").rpartition(":")
-    if not 0 < int(port) <= 65535:
-        raise LinkError(f"port {port}, expected 1 to 65535")
     hint = f'no address found for "{host}"; give the ground station\'s IP address, like 192.168.1.50'
     family, kind, protocol, address = resolve(host, int(port), hint)
     udp = socket.socket(family, kind, protocol)

@@ -103,9 +103,8 @@ def log_to(handler: logging.Handler, formatter: logging.Formatter) -> None:
     """The only handler of this process."""
     handler.setFormatter(formatter)
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
-    logging.getLogger(mavlink.logger.name).setLevel(
-        logging.WARNING
-    )  # it has a line for each packet with an old signature
+    # pymavlink has a line for each packet with an old signature.
+    logging.getLogger(mavlink.logger.name).setLevel(logging.WARNING)
 
 
 def flush_log() -> None:
@@ -124,7 +123,7 @@ class LogLimiter:
     def __init__(self) -> None:
         self._kept: dict[str, tuple[float, float, int]] = {}  # by code: lines left, at this time, and lines left out
 
-    def log(self, level: int, code: str, text: str, now_s: float) -> None:
+    def line(self, level: int, code: str, text: str, now_s: float) -> None:
         """Log a line of this code, or count it."""
         lines, before_s, left_out = self._kept.get(code, (float(BURST), now_s, 0))
         lines = min(BURST, lines + LINES_PER_S * (now_s - before_s))
@@ -141,23 +140,20 @@ def field_of(code: str) -> dict[str, str]:
     return {"companion_code": code}
 
 
-class AgentEventLog:
+class AgentEventLog(LogLimiter):
     """Logs the events of the agent."""
-
-    def __init__(self) -> None:
-        self._limiter = LogLimiter()
 
     def log(self, event: Notice, now_s: float) -> None:
         """Log one event: a health flag as a warning."""
         level = logging.WARNING if event.code in FLAGS else logging.INFO
-        self._limiter.log(level, event.code, str(event), now_s)
+        self.line(level, event.code, str(event), now_s)
 
 
-class RejectionLog:
+class RejectionLog(LogLimiter):
     """Logs counted rejections: once a second those that were added, by code."""
 
     def __init__(self) -> None:
-        self._limiter = LogLimiter()
+        super().__init__()
         self._logged: dict[str, tuple[int, float]] = {}  # key -> (count, time)
 
     def update(self, counts: Mapping[str, int], now_s: float) -> None:
@@ -167,22 +163,14 @@ class RejectionLog:
             if count > before and now_s - logged_s >= REPEAT_AFTER_S:
                 self._logged[key] = (count, now_s)
                 text = f"rejected {count - before} ({count} in all): {key}: {rejection_text(key)}"
-                self._limiter.log(logging.WARNING, key.partition(" ")[0], text, now_s)
+                self.line(logging.WARNING, key.partition(" ")[0], text, now_s)
 
 
-class CommandLog:
+class CommandLog(LogLimiter):
     """Logs every command with its reply."""
-
-    def __init__(self) -> None:
-        self._limiter = LogLimiter()
 
     def log(self, command: Command, reply: CommandReply, now_s: float) -> None:
         """Log one command with its reply."""
         outcome = "accepted" if reply.accepted else "refused"
-        self._limiter.log(
-            logging.INFO,
-            reply.code,
-            f"command {command.name}, number {command.number} of {command.operator}: {outcome}, {reply.code}:"
-            f" {reply.reason}",
-            now_s,
-        )
+        given = f"command {command.name}, number {command.number} of {command.operator}"
+        self.line(logging.INFO, reply.code, f"{given}: {outcome}, {reply.code}: {reply.reason}", now_s)

@@ -6,17 +6,20 @@ import asyncio
 import contextlib
 import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from companion.config.file import ConfigError, read_regular
 from companion.config.vehicle import AgentConfig
-from companion.security.admission import MAX_LIST_BYTES, AdmissionError, Admitted, accept
+from companion.security.admission import MAX_LIST_BYTES, AdmissionError, accept
 from companion.security.identity import ADMITTED_FILE, Identity, IdentityError, load_identity, read_admitted, write_file
 from companion.security.names import ParticipantRole
+
+if TYPE_CHECKING:
+    from companion.link.fleet.zenoh_link import ZenohLink
 
 
 def vehicle_identity(vehicle_file: Path, config: AgentConfig, environment: Mapping[str, str] = os.environ) -> Identity:
@@ -61,21 +64,13 @@ CHECK_S = 2.0
 _log = logging.getLogger(__name__)
 
 
-class Admitting(Protocol):
-    """The part of `ZenohLink` that a list concerns."""
-
-    def admission_lists(self) -> Sequence[bytes]: ...
-
-    def admit(self, admitted: Admitted) -> None: ...
-
-
 class Admissions:
     """Looks for a newer list every CHECK_S. `kept` is the file for a list from the network.
 
     A list is verified in a thread: that takes up to 10 ms. A list that is refused changes nothing.
     """
 
-    def __init__(self, identity: Identity, kept: Path, link: Admitting) -> None:
+    def __init__(self, identity: Identity, kept: Path, link: ZenohLink) -> None:
         self._authority = identity.authority
         self._copied = identity.authority_file.with_name(ADMITTED_FILE)
         self._kept = kept

@@ -28,7 +28,7 @@ import zenoh
 from companion.config.fleet import FleetConfig
 from companion.config.vehicle import DatagramEndpoints
 from companion.link.byte_links import LinkError, explain, read_waiting, resolve
-from companion.link.fleet.zenoh_session import drain
+from companion.link.fleet.zenoh_session import drain, subscriber
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from companion.wire.keys import ANY, pairing_key
@@ -84,11 +84,7 @@ class PeerDatagrams:
             self._reject(opened)
             return None
         sender_id, payload = opened
-        packet = packet_of_fleet(payload, self._fleet_ids, self._reject)
-        if packet and packet.sender.vehicle_id != sender_id:
-            self._reject(Code.PEER_KEY_MISMATCH)
-            return None
-        return packet
+        return packet_of_fleet(payload, self._fleet_ids, self._reject, sender_id)
 
     def publish_peer(self, packet: PeerPacket) -> None:
         """Send the own peer packet to all receivers."""
@@ -105,8 +101,12 @@ class PeerDatagrams:
         self._socket.close()
 
 
-def packet_of_fleet(data: bytes, fleet_ids: Collection[int], reject: Callable[[str], None]) -> PeerPacket | None:
+def packet_of_fleet(
+    data: bytes, fleet_ids: Collection[int], reject: Callable[[str], None], sender_id: int | None = None
+) -> PeerPacket | None:
     """The decoded peer packet of a vehicle of this fleet; None for any other data, which is counted.
+
+    `sender_id`: the vehicle that it comes from, as far as that is known otherwise.
 
     To decode takes 5 ns a byte, so what is longer than any packet of this fleet is refused before.
     """
@@ -120,6 +120,9 @@ def packet_of_fleet(data: bytes, fleet_ids: Collection[int], reject: Callable[[s
         return None
     if packet.sender.vehicle_id not in fleet_ids:  # counted without the id: unknown senders cannot fill the counters
         reject(Code.PEER_NOT_IN_FLEET)
+        return None
+    if sender_id is not None and packet.sender.vehicle_id != sender_id:
+        reject(Code.PEER_KEY_MISMATCH)
         return None
     return packet
 
@@ -146,8 +149,6 @@ def _open_socket(address: Address, group: str | None) -> socket.socket:
 
 def _resolve(endpoint: str) -> Address:
     host, _, port = endpoint.rpartition(":")
-    if not 0 < int(port) <= 65535:
-        raise LinkError(f"port {port} does not exist, expected 1 to 65535")
     hint = f'"{host}" has no address; expected one like 192.168.1.11'
     *_, address = resolve(host, int(port), hint, socket.AF_INET)
     return str(address[0]), int(address[1])
@@ -214,9 +215,7 @@ class Pairing:
 
     def __init__(self, session: zenoh.Session, fleet: str, own_id: int, seal: DatagramSeal) -> None:
         self._session, self._fleet, self._own_id, self._seal = session, fleet, own_id, seal
-        self._keys = session.declare_subscriber(
-            pairing_key(fleet, ANY, own_id), zenoh.handlers.RingChannel(2 * len(seal.own_keys) or 1)
-        )
+        self._keys = subscriber(session, pairing_key(fleet, ANY, own_id), 2 * len(seal.own_keys) or 1)
         self._due_s = -inf
 
     def step(self, now_s: float) -> None:
@@ -229,8 +228,5 @@ class Pairing:
             return
         self._due_s = now_s + PERIOD_S
         for receiver_id, key in self._seal.own_keys.items():
-            self._session.put(
-                pairing_key(self._fleet, self._own_id, receiver_id),
-                key,
-                congestion_control=zenoh.CongestionControl.DROP,
-            )
+            to = pairing_key(self._fleet, self._own_id, receiver_id)
+            self._session.put(to, key, congestion_control=zenoh.CongestionControl.DROP)

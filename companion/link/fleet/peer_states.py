@@ -15,8 +15,7 @@ import zenoh
 from companion.config.fleet import FleetConfig
 from companion.core.consensus.neighbours import LOW_RATE_TICKS
 from companion.link.fleet.peer_datagrams import packet_of_fleet
-from companion.link.fleet.zenoh_session import drain
-from companion.types.notices import Code
+from companion.link.fleet.zenoh_session import drain, publisher, subscriber
 from companion.types.peers import PeerPacket
 from companion.wire.keys import distant_key, peer_key
 from companion.wire.messages import encode_peer
@@ -47,10 +46,9 @@ class PeerStates:
         self._at_50_hz = {member.id: self._subscribe(peer_key(fleet.name, member.id)) for member in fleet.vehicles}
         self._at_5_hz: dict[int, Any] = {}
         self._admitted = set(self._at_50_hz)
-        self._publisher = self._declare_publisher(peer_key(fleet.name, vehicle_id))
-        self._low_rate_publisher = (
-            self._declare_publisher(distant_key(fleet.name, vehicle_id)) if fleet.has_distant_peers else None
-        )
+        self._publisher = publisher(session, peer_key(fleet.name, vehicle_id), zenoh.Priority.REAL_TIME)
+        distant = distant_key(fleet.name, vehicle_id) if fleet.has_distant_peers else None
+        self._low_rate_publisher = publisher(session, distant, zenoh.Priority.REAL_TIME) if distant else None
 
     def publish(self, packet: PeerPacket) -> None:
         """Publish the own packet."""
@@ -110,22 +108,9 @@ class PeerStates:
 
     def _packets(self, samples: list[zenoh.Sample], sender_id: int) -> list[PeerPacket]:
         """The newest packets in these messages, in their order."""
-        packets = (packet for sample in reversed(samples) if (packet := self._packet(sample, sender_id)))
-        return list(islice(packets, PACKETS_PER_VEHICLE))[::-1]
-
-    def _packet(self, sample: zenoh.Sample, sender_id: int) -> PeerPacket | None:
-        packet = packet_of_fleet(sample.payload.to_bytes(), self._fleet_ids, self._reject)
-        if packet and packet.sender.vehicle_id != sender_id:
-            self._reject(Code.PEER_KEY_MISMATCH)
-            return None
-        return packet
+        newest_first = (sample.payload.to_bytes() for sample in reversed(samples))
+        packets = (packet_of_fleet(data, self._fleet_ids, self._reject, sender_id) for data in newest_first)
+        return list(islice(filter(None, packets), PACKETS_PER_VEHICLE))[::-1]
 
     def _subscribe(self, key: str) -> Any:
-        return self._session.declare_subscriber(
-            key, zenoh.handlers.RingChannel(self._samples_kept), allowed_origin=zenoh.Locality.REMOTE
-        )
-
-    def _declare_publisher(self, key: str) -> zenoh.Publisher:
-        return self._session.declare_publisher(
-            key, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.REAL_TIME, express=True
-        )
+        return subscriber(self._session, key, self._samples_kept, allowed_origin=zenoh.Locality.REMOTE)

@@ -14,7 +14,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import zenoh
 
@@ -22,7 +22,7 @@ from companion.config.fleet import FleetConfig
 from companion.config.vehicle import ZenohEndpoints
 from companion.link.fleet.peer_datagrams import Pairing
 from companion.link.fleet.peer_states import PeerStates
-from companion.link.fleet.zenoh_session import drain, open_session
+from companion.link.fleet.zenoh_session import drain, open_session, publisher, subscriber
 from companion.link.log import CommandLog
 from companion.security.names import ParticipantRole, parse_common_name
 from companion.types.commands import Command, CommandName, CommandReply
@@ -107,28 +107,16 @@ class ZenohLink:
     def _declare(self, vehicle_id: int, fleet: FleetConfig) -> None:
         self._peers = PeerStates(self.session, vehicle_id, fleet, self._reject)
         may_lead = any(member.id == vehicle_id and member.can_lead for member in fleet.vehicles)
-        self._targets = self._subscribe(target_key(fleet.name, ANY), TARGETS_KEPT) if may_lead else None
-        self._traffic = self._subscribe(traffic_key(fleet.name, ANY, ANY), TRAFFIC_KEPT)
-        self._commands = self._subscribe(command_key(fleet.name, vehicle_id, ANY), COMMANDS_KEPT)
-        self._aborts = self._subscribe(abort_key(fleet.name, vehicle_id, ANY), ABORT_SAMPLES_KEPT)
-        self._lists = self._subscribe(admission_key(fleet.name, ANY), LISTS_KEPT) if self._identity else None
+        self._targets = subscriber(self.session, target_key(fleet.name, ANY), TARGETS_KEPT) if may_lead else None
+        self._traffic = subscriber(self.session, traffic_key(fleet.name, ANY, ANY), TRAFFIC_KEPT)
+        self._commands = subscriber(self.session, command_key(fleet.name, vehicle_id, ANY), COMMANDS_KEPT)
+        self._aborts = subscriber(self.session, abort_key(fleet.name, vehicle_id, ANY), ABORT_SAMPLES_KEPT)
+        self._lists = subscriber(self.session, admission_key(fleet.name, ANY), LISTS_KEPT) if self._identity else None
         seal = self._datagrams.seal if self._datagrams else None
         self._pairing = Pairing(self.session, fleet.name, vehicle_id, seal) if seal else None
-        self._reply_publisher = self.session.declare_publisher(
-            reply_key(fleet.name, vehicle_id),
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.INTERACTIVE_HIGH,
-            express=True,
-        )
-        self._status_publisher = self.session.declare_publisher(
-            status_key(fleet.name, vehicle_id),
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.DATA,
-        )
-
-    def _subscribe(self, key: str, kept: int) -> Any:
-        """A subscriber whose channel keeps so many messages, the newest, until they are drained."""
-        return self.session.declare_subscriber(key, zenoh.handlers.RingChannel(kept))
+        interactive, usual = zenoh.Priority.INTERACTIVE_HIGH, zenoh.Priority.DATA
+        self._reply_publisher = publisher(self.session, reply_key(fleet.name, vehicle_id), interactive)
+        self._status_publisher = publisher(self.session, status_key(fleet.name, vehicle_id), usual, express=False)
 
     @property
     def is_open(self) -> bool:

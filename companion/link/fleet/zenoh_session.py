@@ -140,6 +140,17 @@ def _check_protection(kind: str, endpoints: Sequence[str], identity: Identity | 
             )
 
 
+def publisher(session: zenoh.Session, key: str, priority: zenoh.Priority, express: bool = True) -> zenoh.Publisher:
+    """What it publishes is dropped where the network is congested. `express`: sent at once, not together with what follows."""
+    drop = zenoh.CongestionControl.DROP
+    return session.declare_publisher(key, congestion_control=drop, priority=priority, express=express)
+
+
+def subscriber(session: zenoh.Session, key: str, kept: int, **options: Any) -> Any:
+    """Its channel keeps so many messages, the newest, until they are drained."""
+    return session.declare_subscriber(key, zenoh.handlers.RingChannel(kept), **options)
+
+
 def drain(channel: Any, limit: int) -> list[Any]:
     """At most `limit` items waiting in the channel of a subscriber. Never blocks."""
     items: list[Any] = []
