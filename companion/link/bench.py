@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import asyncio
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from mavsdk import Configuration, Mavsdk
 from mavsdk.logging import log_subscribe
@@ -68,8 +69,8 @@ LISTEN_PERIOD_S = 0.05
 Outcome = TypeVar("Outcome")
 
 
-class Bench:
-    """The link with mavsdk beside it. `link.receive()` must run meanwhile; the caller drains the telemetry."""
+class Bench(ABC):
+    """One command's use of the link, with mavsdk beside it."""
 
     def __init__(self, file: Path, config: AgentConfig) -> None:
         """Opens the link. Raises ConfigError."""
@@ -79,8 +80,30 @@ class Bench:
         self._bridge = MavsdkBridge(config.vehicle.id, self.link.relay)
         self.link.pass_on_to(self._bridge.receive)
 
-    async def system(self, wait_s: float) -> Any | None:
-        """mavsdk's handle of the autopilot, for its plugins. None without a HEARTBEAT within this time."""
+    @abstractmethod
+    def jobs(self) -> tuple[Coroutine[None, None, None], ...]:
+        """Background jobs that run until cancelled: `link.receive()`, and one that drains the telemetry."""
+
+    @abstractmethod
+    async def connected(self, system: Any) -> None:
+        """The autopilot answers. `system` is mavsdk's handle of it, for its plugins."""
+
+    async def run(self, wait_s: float, work: Callable[[], Awaitable[Outcome]]) -> Outcome:
+        """Run `work` beside the jobs when the autopilot answers. Raises AutopilotSilentError if it does not in this time."""
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(job) for job in self.jobs()]
+            outcomes = []
+            if (system := await self._system(wait_s)) is not None:
+                await self.connected(system)
+                outcomes.append(await work())
+            for task in tasks:
+                task.cancel()
+        if not outcomes:
+            raise AutopilotSilentError(self._file, self._vehicle, wait_s, self.link.why_silent())
+        return outcomes[0]
+
+    async def _system(self, wait_s: float) -> Any | None:
+        """None without a HEARTBEAT within this time."""
         give_up_s = time.monotonic() + wait_s
         while not self.link.is_connected:
             if time.monotonic() > give_up_s:
@@ -88,38 +111,10 @@ class Bench:
             await asyncio.sleep(LISTEN_PERIOD_S)
         return await self._bridge.system(wait_s)
 
-    def silence(self, wait_s: float) -> AutopilotSilentError:
-        """The error for an autopilot that did not answer."""
-        return AutopilotSilentError(self._file, self._vehicle, wait_s, self.link.why_silent())
-
     def close(self) -> None:
         """Close the link, after mavsdk's plugins."""
         self._bridge.close()
         self.link.close()
-
-
-class BenchSession(Protocol):
-    """One command's use of a bench."""
-
-    bench: Bench
-
-    def jobs(self) -> tuple[Coroutine[None, None, None], ...]:
-        """Background jobs that run until cancelled, among them `link.receive()`."""
-
-    async def connect(self, wait_s: float) -> bool:
-        """Whether the autopilot answers within this time."""
-
-
-async def run_on_bench(session: BenchSession, wait_s: float, work: Callable[[], Awaitable[Outcome]]) -> Outcome:
-    """Run `work` beside the session's jobs when the autopilot answers. Raises AutopilotSilentError if it does not."""
-    async with asyncio.TaskGroup() as group:
-        tasks = [group.create_task(job) for job in session.jobs()]
-        outcomes = [await work()] if await session.connect(wait_s) else []
-        for task in tasks:
-            task.cancel()
-    if not outcomes:
-        raise session.bench.silence(wait_s)
-    return outcomes[0]
 
 
 class ParameterError(CompanionError):
@@ -140,31 +135,24 @@ class Parameters:
 
     async def read(self, name: str) -> float | None:
         """The value, or None after 3 s without an answer: an autopilot does not answer for an unknown parameter."""
-        try:
-            value = float(await asyncio.to_thread(self._param.get_param_int, name))
-            self._integers[name] = True
-        except ParamError as error:
-            if error.result is not ParamResult.WRONG_TYPE:
-                return None
-            return await self._read_float(name)
-        return value
-
-    async def _read_float(self, name: str) -> float | None:
-        try:
-            value = float(await asyncio.to_thread(self._param.get_param_float, name))
-        except ParamError:
-            return None
-        self._integers[name] = False
-        return value
+        for is_integer, get in ((True, self._param.get_param_int), (False, self._param.get_param_float)):
+            try:
+                value = float(await asyncio.to_thread(get, name))
+            except ParamError as error:
+                if error.result is not ParamResult.WRONG_TYPE:
+                    break
+            else:
+                self._integers[name] = is_integer
+                return value
+        return None
 
     async def set(self, name: str, value: float) -> None:
         """Set a parameter that was read before, and read it back. Raises ParameterError."""
-        integer = self._integers[name]
+        set_param, as_number = (
+            (self._param.set_param_int, int) if self._integers[name] else (self._param.set_param_float, float)
+        )
         try:
-            if integer:
-                await asyncio.to_thread(self._param.set_param_int, name, int(value))
-            else:
-                await asyncio.to_thread(self._param.set_param_float, name, value)
+            await asyncio.to_thread(set_param, name, as_number(value))
         except ParamError as error:
             reason = error.result.name.lower().replace("_", " ")
             raise ParameterError(f"{name} could not be set to {value:g}: {reason}") from error
@@ -196,12 +184,13 @@ class NothingCameError(FlightLogsError):
 class LogEntry:
     """One log of the autopilot's list (LOG_ENTRY). PX4 counts from 0, ArduPilot from 1.
 
-    `date_utc` is the time of the last write; None where the autopilot's clock was not set.
+    `date_utc` is the time of the last write; None where the autopilot's clock was not set. `file` is its copy after a download.
     """
 
     id: int
     date_utc: datetime | None
     size_bytes: int
+    file: str = ""
 
 
 class FlightLogs:

@@ -10,13 +10,14 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from companion.assembly import check_agent, output_limits_of, tracker_of
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.preflight import WINDOW_S, Survey
 from companion.core.safety.audit import AuditFinding, Facts, PositionCheck, Verdict, audit, worst
-from companion.link.bench import LISTEN_PERIOD_S, Bench, ParameterError, Parameters, run_on_bench
+from companion.link.bench import LISTEN_PERIOD_S, Bench, ParameterError, Parameters
 from companion.mavlink.autopilot_types import DIALECTS, PROFILES
 from companion.tools.output import found_lines, json_text, line_printer
 from companion.types.autopilot import AutopilotKind, RequestOrigin, VehicleState
@@ -127,7 +128,7 @@ def run_doctor(options: DoctorOptions) -> int:
 
 async def _run(options: DoctorOptions, config: AgentConfig) -> int:
     with closing(DoctorSession(options.file, config)) as session:
-        diagnosis = await run_on_bench(session, options.wait_s, partial(_examine, session, options))
+        diagnosis = await session.run(options.wait_s, partial(_examine, session, options))
     if options.as_json:
         print(json_text(diagnosis))
     return FIT if diagnosis.fit else UNFIT
@@ -148,42 +149,37 @@ async def _examine(session: DoctorSession, options: DoctorOptions) -> Diagnosis:
     return diagnosis
 
 
-class DoctorSession:
+class DoctorSession(Bench):
     """Link to one vehicle, and the facts for its audit."""
 
     def __init__(self, file: Path, config: AgentConfig) -> None:
         """Opens the link. Raises ConfigError."""
+        super().__init__(file, config)
         self.config = config
         self._survey = Survey()
         self.tracker = tracker_of(config.fleet)
         self._limits = output_limits_of(config.fleet)
-        self.bench = Bench(file, config)
-        self._link = self.bench.link
         self.parameters: Parameters | None = None  # once it answers
         self._ask_origin_s = float("-inf")
 
     def jobs(self) -> tuple[Coroutine[None, None, None], ...]:
         """Background jobs until cancelled: the link, the agent's message rates, and the telemetry."""
-        return (self._link.receive(), self._link.keep_streams(), self._listen())
+        return (self.link.receive(), self.link.keep_streams(), self._listen())
 
     async def _listen(self) -> None:
         while True:
             await asyncio.sleep(LISTEN_PERIOD_S)
-            telemetry = self._link.drain()
+            telemetry = self.link.drain()
             self.tracker.fold(telemetry)
             self._survey.update(time.monotonic(), telemetry)
-            if self._link.is_connected and time.monotonic() > self._ask_origin_s:
-                self._link.request([RequestOrigin()])
+            if self.link.is_connected and time.monotonic() > self._ask_origin_s:
+                self.link.request([RequestOrigin()])
                 self._ask_origin_s = time.monotonic() + ASK_ORIGIN_PERIOD_S
 
-    async def connect(self, wait_s: float) -> bool:
-        """Whether a HEARTBEAT arrives within this time. Then waits until the streams have the requested rates."""
-        system = await self.bench.system(wait_s)
-        if system is None:
-            return False
+    async def connected(self, system: Any) -> None:
+        """Waits until the streams have the requested rates."""
         self.parameters = Parameters(system)
         await asyncio.sleep(SETTLE_S)
-        return True
 
     async def diagnose(self) -> Diagnosis:
         """Listen for one window, read the parameters, audit."""
@@ -231,4 +227,4 @@ class DoctorSession:
     def close(self) -> None:
         if self.parameters:
             self.parameters.close()
-        self.bench.close()
+        super().close()

@@ -9,9 +9,9 @@ import time
 from collections.abc import Coroutine, Iterator, Sequence
 from contextlib import aclosing, closing
 from dataclasses import dataclass, replace
-from datetime import datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
@@ -22,7 +22,6 @@ from companion.link.bench import (
     FlightLogsError,
     LogEntry,
     NothingCameError,
-    run_on_bench,
 )
 from companion.mavlink.autopilot_types import DIALECTS
 from companion.tools.output import json_text, line_printer
@@ -38,16 +37,6 @@ ALL, LAST = "all", "last"  # in place of an id
 
 
 @dataclass(frozen=True, slots=True)
-class ListedLog:
-    """One log; `file` is its copy after --get."""
-
-    id: int
-    date_utc: datetime | None
-    size_bytes: int
-    file: str = ""
-
-
-@dataclass(frozen=True, slots=True)
 class LogsReport:
     """Result for one vehicle, as `--json` prints it.
 
@@ -57,7 +46,7 @@ class LogsReport:
     vehicle: int
     autopilot: AutopilotKind
     mavlink: str
-    logs: tuple[ListedLog, ...] = ()
+    logs: tuple[LogEntry, ...] = ()
     failure: str = ""
 
 
@@ -97,7 +86,7 @@ def heading(report: LogsReport) -> str:
     return f"vehicle {report.vehicle}, {DIALECTS[report.autopilot].NAME} at {report.mavlink}"
 
 
-def listing(logs: Sequence[ListedLog]) -> Iterator[str]:
+def listing(logs: Sequence[LogEntry]) -> Iterator[str]:
     """The list, in columns."""
     yield f"{'log':>5}  {'last written (UTC)':<19}  {'size':>10}"
     for log in logs:
@@ -150,7 +139,7 @@ def _make(folder: Path) -> None:
 
 async def _run(options: LogsOptions, config: AgentConfig) -> int:
     with closing(LogSession(options.file, config)) as session:
-        report = await run_on_bench(session, options.wait_s, partial(_serve, session, options))
+        report = await session.run(options.wait_s, partial(_serve, session, options))
     if options.as_json:
         print(json_text(report))
     if report.failure:
@@ -169,7 +158,7 @@ async def _serve(session: LogSession, options: LogsOptions) -> LogsReport:
         chosen = choose(listed, options.wanted, session.autopilot)
         show([heading(report)])
         if not options.wanted:
-            report = replace(report, logs=tuple(ListedLog(log.id, log.date_utc, log.size_bytes) for log in listed))
+            report = replace(report, logs=listed)
             show(listing(report.logs))
         for entry in chosen:
             log, text = await session.get(entry, options.folder)
@@ -180,27 +169,27 @@ async def _serve(session: LogSession, options: LogsOptions) -> LogsReport:
     return report
 
 
-class LogSession:
+class LogSession(Bench):
     """Link to one vehicle and its logs."""
 
     def __init__(self, file: Path, config: AgentConfig) -> None:
         """Opens the link. Raises ConfigError."""
+        super().__init__(file, config)
         self.vehicle_id, self.endpoint = config.vehicle.id, config.vehicle.mavlink
         self.autopilot = AutopilotKind.PX4  # this and the following from HEARTBEAT, once `_known` is set
         self._armed = False
         self._heard_s = 0.0
         self._known = asyncio.Event()
         self._text = ""
-        self.bench = Bench(file, config)
         self._logs: FlightLogs | None = None  # once it answers
 
     def jobs(self) -> tuple[Coroutine[None, None, None], ...]:
         """Background jobs until cancelled. Telemetry is not requested: it would slow the downloads."""
-        return (self.bench.link.receive(), self._listen())
+        return (self.link.receive(), self._listen())
 
     async def _listen(self) -> None:
         while True:
-            for sample in self.bench.link.drain():
+            for sample in self.link.drain():
                 if isinstance(sample, HeartbeatSample):
                     self.autopilot, self._armed, self._heard_s = sample.autopilot, sample.armed, sample.received_s
                     self._known.set()
@@ -208,14 +197,10 @@ class LogSession:
                     self._text = sample.text
             await asyncio.sleep(LISTEN_PERIOD_S)
 
-    async def connect(self, wait_s: float) -> bool:
-        """Whether a HEARTBEAT arrives within this time."""
-        system = await self.bench.system(wait_s)
-        if system is None:
-            return False
+    async def connected(self, system: Any) -> None:
+        """Waits until its type is known."""
         self._logs = FlightLogs(system)
         await self._known.wait()
-        return True
 
     async def entries(self) -> tuple[LogEntry, ...]:
         """The list, with at least one log. Raises FlightLogsError."""
@@ -245,10 +230,10 @@ class LogSession:
                 break
         return listed
 
-    async def get(self, entry: LogEntry, folder: Path) -> tuple[ListedLog, str]:
+    async def get(self, entry: LogEntry, folder: Path) -> tuple[LogEntry, str]:
         """Download a log: (the log with its file, a line for the report). Raises FlightLogsError."""
         file = folder / file_name(self.vehicle_id, entry, self.autopilot)
-        log = ListedLog(entry.id, entry.date_utc, entry.size_bytes, str(file))
+        log = replace(entry, file=str(file))
         try:
             if file.exists():
                 _check_same(file, entry)
@@ -286,7 +271,7 @@ class LogSession:
     def close(self) -> None:
         if self._logs:
             self._logs.close()
-        self.bench.close()
+        super().close()
 
 
 def _check_same(file: Path, entry: LogEntry) -> None:
