@@ -191,7 +191,7 @@ def _own_problem(data: Any, type_: Any, field: str) -> Problem | None:
 
 def _wrong_tag(data: Any, type_: Any, field: str) -> Problem | None:
     """Problem of a section of several kinds whose tag is missing or wrong."""
-    kinds = [part.__struct_config__ for part in _alternatives(type_) if _is_struct(part)]
+    kinds = [part.__struct_config__ for part in alternatives(type_) if _is_struct(part)]
     if len(kinds) < 2 or not isinstance(data, dict):
         return None
     key, tags = kinds[0].tag_field, sorted(str(kind.tag) for kind in kinds)
@@ -207,7 +207,7 @@ def _wrong_tag(data: Any, type_: Any, field: str) -> Problem | None:
 
 def _part_for(data: Any, type_: Any) -> Any:
     """The alternative of a type that a value is meant for: the one of the same form, for a section the one with its tag."""
-    parts = _alternatives(type_)
+    parts = alternatives(type_)
     fits: list[Any] = []
     if isinstance(data, dict):
         fits = [part for part in parts if _is_struct(part) or get_origin(part) is dict]
@@ -218,12 +218,12 @@ def _part_for(data: Any, type_: Any) -> Any:
     return fits[0] if len(fits) == 1 else type_
 
 
-def _alternatives(type_: Any) -> list[Any]:
+def alternatives(type_: Any) -> list[Any]:
     """The members of a union without their annotations; another type as the only one."""
     if get_origin(type_) is Annotated:
-        return _alternatives(get_args(type_)[0])
+        return alternatives(get_args(type_)[0])
     if get_origin(type_) in (Union, UnionType):
-        return [part for member in get_args(type_) for part in _alternatives(member)]
+        return [part for member in get_args(type_) for part in alternatives(member)]
     return [type_]
 
 
@@ -253,7 +253,7 @@ def _default(info: FieldInfo) -> Any:
 def _choices(type_: Any) -> list[str]:
     """The names that a value may be: of literals and of enumerations."""
     names: list[str] = []
-    for part in _alternatives(type_):
+    for part in alternatives(type_):
         if get_origin(part) is Literal:
             names += map(str, get_args(part))
         elif isinstance(part, type) and issubclass(part, Enum):
@@ -264,7 +264,7 @@ def _choices(type_: Any) -> list[str]:
 def _keys_inside(type_: Any, path: str = "") -> dict[str, str]:
     """All keys of the sections inside a type, each with the first path to it."""
     paths: dict[str, str] = {}
-    for part in _alternatives(type_):
+    for part in alternatives(type_):
         inside: Iterable[tuple[Any, str]] = ((item, path) for item in get_args(part) if item is not Ellipsis)
         if get_origin(part) in (tuple, list):
             inside = [(item, f"{path}[N]") for item, _ in inside]

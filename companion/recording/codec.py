@@ -35,6 +35,7 @@ from companion.types.values import MAX_VEHICLES
 from companion.wire.messages import StatusReport
 
 T = TypeVar("T")
+Tick = TypeVar("Tick", bound=Struct)
 Message = DecisionRecord | TimingRecord | StatusReport | Notice | Command | CommandReply
 
 LAST_S = 1e10  # of all clocks, the year 2286: its nanoseconds fit into an MCAP time
@@ -48,10 +49,10 @@ class RecordError(CompanionError):
     """A message that cannot be decoded."""
 
 
-class _TickCodec:
+class _TickCodec(Generic[Tick]):
     """Exact JSON of an Inbox or an Outbox with its time: an object with the fields that are not empty."""
 
-    def __init__(self, type_: type[Struct]) -> None:
+    def __init__(self, type_: type[Tick]) -> None:
         forms: dict[str, Form[Any]] = {field.name: form_of(field.type, _REQUESTS) for field in fields(type_)}
         self._type = type_
         self._packs = [(name, form.pack) for name, form in forms.items()]
@@ -63,7 +64,8 @@ class _TickCodec:
         )
         self._decoder = msgspec.json.Decoder(self._wire)
 
-    def encode(self, now_s: float, tick: Struct) -> bytes:
+    def encode(self, now_s: float, tick: Tick) -> bytes:
+        """The message of the tick at `now_s`."""
         record: dict[str, Any] = {"now_s": now_s}
         for name, pack in self._packs:
             value = getattr(tick, name)
@@ -71,7 +73,8 @@ class _TickCodec:
                 record[name] = pack(value) if pack else value
         return encode_exact(record)
 
-    def decode(self, data: bytes) -> tuple[float, Any]:
+    def decode(self, data: bytes) -> tuple[float, Tick]:
+        """Time and content of a message. Raises RecordError."""
         try:
             exact = has_not_finite(data)
             wire: Any = msgspec.convert(decode_exact(data), self._wire) if exact else self._decoder.decode(data)
@@ -87,25 +90,8 @@ class _TickCodec:
 _inbox, _outbox = _TickCodec(Inbox), _TickCodec(Outbox)
 _encoder = msgspec.json.Encoder()
 
-
-def encode_inbox(now_s: float, inbox: Inbox) -> bytes:
-    """The message of /inbox for the tick at `now_s`."""
-    return _inbox.encode(now_s, inbox)
-
-
-def decode_inbox(data: bytes) -> tuple[float, Inbox]:
-    """Time and Inbox of a message. Raises RecordError."""
-    return _inbox.decode(data)
-
-
-def encode_outbox(now_s: float, outbox: Outbox) -> bytes:
-    """The message of /outbox for the tick at `now_s`."""
-    return _outbox.encode(now_s, outbox)
-
-
-def decode_outbox(data: bytes) -> tuple[float, Outbox]:
-    """Time and Outbox of a message. Raises RecordError."""
-    return _outbox.decode(data)
+encode_inbox, decode_inbox = _inbox.encode, _inbox.decode  # the message of /inbox
+encode_outbox, decode_outbox = _outbox.encode, _outbox.decode
 
 
 def encode(message: Message) -> bytes:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from math import isfinite
 from operator import attrgetter
+from types import NoneType, UnionType
 from typing import Annotated, Any, Generic, TypeVar, Union, get_args, get_origin
 
 import msgspec
@@ -20,7 +21,6 @@ from companion.types.values import flat_paths, from_flat
 
 T = TypeVar("T")
 Convert = Callable[[Any], Any]
-NoneType = type(None)
 
 
 class Form(Generic[T]):
@@ -50,7 +50,7 @@ class _Forms:
         origin = get_origin(type_)
         if origin is Annotated:
             return self._bounded(type_)
-        if origin is Union or type_.__class__.__name__ == "UnionType":
+        if origin in (Union, UnionType):
             return self._union(get_args(type_))
         if origin is tuple:
             return self._tuple(get_args(type_))

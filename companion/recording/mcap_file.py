@@ -21,17 +21,16 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata
 
+from companion.recording.mcap_part import FRAME, MAGIC
 from companion.types.errors import CompanionError
 from companion.types.values import printable
 
 Warn = Callable[[str], None]
 
-MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD = 8 * 2**20  # bytes of a record in the file, and of a chunk when decompressed
 MAX_MESSAGE = 2**20
 _SEARCHED = 2**20  # bytes at once, for the next chunk after damage
 _HEAD = struct.Struct("<BQ")  # opcode and length of a record
-_MESSAGE = struct.Struct("<BQHIQQ")  # the same, and channel, sequence, log time and publish time of a message
 _FOOTER = struct.Struct("<QQI")  # where the summary begins, where its offsets begin, check sum
 _CONTENT = struct.calcsize("<HIQQ")
 _COMPRESSION = b"\x04\x00\x00\x00zstd"
@@ -226,8 +225,8 @@ class _Channels:
 
     def messages(self, chunk: bytes) -> Iterator[RawMessage]:
         """Those of the wanted topics. Raises _DamagedError."""
-        at, end, unpack = 0, len(chunk), _MESSAGE.unpack_from
-        chunk += bytes(_MESSAGE.size)  # a record at the end may be shorter than a message
+        at, end, unpack = 0, len(chunk), FRAME.unpack_from
+        chunk += bytes(FRAME.size)  # a record at the end may be shorter than a message
         while at < end:
             opcode, length, channel, sequence, log_time_ns, _ = unpack(chunk, at)
             content, at = at + _HEAD.size, at + _HEAD.size + length

@@ -25,9 +25,9 @@ from companion.recording.files import PartFiles, PartFormat
 from companion.recording.records import FORMAT, MESSAGE_ENCODING, SCHEMA_ENCODING, Header, schema
 from companion.recording.writing import Writing
 
-_FRAME = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+FRAME = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 _MESSAGE = 0x05
-_FIELDS = _FRAME.size - 9  # bytes of the length that are not data
+_FIELDS = FRAME.size - 9  # bytes of the length that are not data
 _MOST_SEQUENCE = 2**32
 
 
@@ -49,7 +49,7 @@ class MessageChunk:
         if not self.frames:
             self.start_ns = self.end_ns = time_ns
         self.start_ns, self.end_ns = min(self.start_ns, time_ns), max(self.end_ns, time_ns)
-        head = _FRAME.pack(_MESSAGE, _FIELDS + len(data), channel_id, sequence % _MOST_SEQUENCE, time_ns, time_ns)
+        head = FRAME.pack(_MESSAGE, _FIELDS + len(data), channel_id, sequence % _MOST_SEQUENCE, time_ns, time_ns)
         self.frames += (head, data)
         self.bytes += len(head) + len(data)
         self.counts[channel_id] = self.counts.get(channel_id, 0) + 1

@@ -13,13 +13,15 @@ from __future__ import annotations
 
 from functools import cache
 from math import degrees, inf
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from types import NoneType
+from typing import Any, Literal, get_args, get_origin
 
 import msgspec
 from msgspec import Struct
 from msgspec.structs import fields
 
 from companion import __version__
+from companion.config.validation import alternatives
 from companion.core.consensus.law import FormationLaw, used_weights
 from companion.core.report import Decision
 from companion.geometry.vectors import rounded
@@ -104,7 +106,6 @@ class TimingRecord(Struct, frozen=True):
 SCHEMA_ENCODING = "jsonschema"  # of the schemas, as MCAP names it
 MESSAGE_ENCODING = "json"
 Schema = dict[str, Any]
-NoneType = type(None)
 
 
 class _InboxShown(Struct):
@@ -150,16 +151,15 @@ def _object(type_: type) -> Schema:
 
 def _schema(type_: Any) -> Schema | None:
     """None where the values have no fixed form."""
+    inner = [part for part in alternatives(type_) if part is not NoneType]
+    if len(inner) != 1:
+        return None
+    (type_,) = inner
     origin, parts = get_origin(type_), get_args(type_)
-    if origin is Annotated:
-        return _schema(parts[0])
     if origin is Literal:
         return _schema(type(parts[0]))
     if origin in (tuple, list):
         return _array([part for part in parts if part is not Ellipsis])
-    if origin is Union or type_.__class__.__name__ == "UnionType":
-        inner = [part for part in parts if part is not NoneType]
-        return _schema(inner[0]) if len(inner) == 1 else None
     if not isinstance(type_, type):
         return None
     if issubclass(type_, Struct):

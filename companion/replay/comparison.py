@@ -74,9 +74,7 @@ def replay(recording: Recording, progress: Progress, warn: Warn) -> ReplayResult
                     tick=tick.number,
                     time_s=round(tick.now_s - begin_s, 6),
                     utc_s=round(header.unix_s + tick.now_s - header.monotonic_s, 6),
-                    field=found.field,
-                    recorded=found.recorded,
-                    computed=found.computed,
+                    **found._asdict(),
                 )
                 break
     except (MissingTicksError, RecordError) as error:

@@ -22,21 +22,15 @@ class ParticipantRole(StrEnum):
     TRAFFIC = "traffic"
 
 
-LOWER_CASE = re.compile("[a-z0-9][a-z0-9_-]{0,31}")
-LOWER_CASE_WORDS = "at most 32 lower-case letters, digits, - and _, a letter or digit first"
-PATTERNS = {
-    ParticipantRole.VEHICLE: re.compile("[1-9][0-9]{0,2}"),
+LOWER_CASE = ("[a-z0-9][a-z0-9_-]{0,31}", "at most 32 lower-case letters, digits, - and _, a letter or digit first")
+IDS = {  # of each role, with the words for it
+    ParticipantRole.VEHICLE: ("[1-9][0-9]{0,2}", f"a vehicle id from 1 to {MAX_VEHICLES}"),
     ParticipantRole.GROUND: LOWER_CASE,
     ParticipantRole.MONITOR: LOWER_CASE,
-    ParticipantRole.TARGET: re.compile(FLEET_NAME[1:-1]),  # as the name of a target reference
-    ParticipantRole.TRAFFIC: re.compile("[A-Za-z0-9_-]{1,32}"),  # as in the key of a traffic sample
-}
-ID_WORDS = {
-    ParticipantRole.VEHICLE: f"a vehicle id from 1 to {MAX_VEHICLES}",
-    ParticipantRole.GROUND: LOWER_CASE_WORDS,
-    ParticipantRole.MONITOR: LOWER_CASE_WORDS,
-    ParticipantRole.TARGET: "at most 41 lower-case letters, digits, - and _, a letter or digit first",
-    ParticipantRole.TRAFFIC: "at most 32 letters, digits, - and _",
+    # As the name of a target reference
+    ParticipantRole.TARGET: (FLEET_NAME, "at most 41 lower-case letters, digits, - and _, a letter or digit first"),
+    # As in the key of a traffic sample
+    ParticipantRole.TRAFFIC: ("[A-Za-z0-9_-]{1,32}", "at most 32 letters, digits, - and _"),
 }
 
 
@@ -61,8 +55,9 @@ def participant_name(role: ParticipantRole, id_: str | int, generation: int = 1)
     """The name with these parts. Raises ValueError, which names what was expected."""
     text = str(id_)
     too_high = role is ParticipantRole.VEHICLE and text.isdecimal() and int(text) > MAX_VEHICLES
-    if not PATTERNS[role].fullmatch(text) or too_high:
-        raise ValueError(f"{text!r}, expected {ID_WORDS[role]}")
+    pattern, words = IDS[role]
+    if not re.fullmatch(pattern, text) or too_high:
+        raise ValueError(f"{text!r}, expected {words}")
     if not 1 <= generation <= MAX_GENERATION:
         raise ValueError(f"generation {generation}, expected 1 to {MAX_GENERATION}")
     return ParticipantName(role, text, generation)

@@ -20,11 +20,9 @@ ROW = "{:<24} {:<9} {:<12} {:<10} {}"
 def new_text(done: Provisioned) -> str:
     """What `companion provision new` prints."""
     admitted = done.authority.admitted
-    lines = [f"fleet {done.authority.fleet}, admission list {admitted.number}"]
+    lines = _heading(done, "new")
     if not done.names:
         lines.append("every participant is admitted already; nothing new")
-    else:
-        lines += [f"  new: {_with_end(admitted, name)}" for name in done.names]
     lines += [
         f"differs from the file of the fleet: {path}; remove it and run this again to have it written"
         for path in done.different
@@ -47,15 +45,10 @@ def new_text(done: Provisioned) -> str:
 
 def renew_text(done: Provisioned) -> str:
     """What `companion provision renew` prints."""
-    admitted = done.authority.admitted
-    lines = [f"fleet {done.authority.fleet}, admission list {admitted.number}"]
-    lines += [f"  renewed: {_with_end(admitted, name)}" for name in done.names]
-    lines += [
-        f"written again, because it was removed: {done.folder.copy_of(name)}{WITHOUT_MAVLINK_KEY}"
-        if name.role is ParticipantRole.VEHICLE
-        else f"written again, because it was removed: {done.folder.copy_of(name)}"
-        for name in done.removed
-    ]
+    lines = _heading(done, "renewed")
+    for name in done.removed:
+        without = WITHOUT_MAVLINK_KEY if name.role is ParticipantRole.VEHICLE else ""
+        lines.append(f"written again, because it was removed: {done.folder.copy_of(name)}{without}")
     lines += [f"the old keys and certificates are in {done.folder.retired}", "next:", *_copy_steps(done)]
     return "\n".join([*lines, *_list_step(done.folder, 2), *_backup_step(done.folder, 3)]) + "\n"
 
@@ -64,8 +57,7 @@ def revoke_text(done: Provisioned) -> str:
     """What `companion provision revoke` prints."""
     folder = done.folder.folder
     lines = [
-        f"fleet {done.authority.fleet}, admission list {done.authority.admitted.number}",
-        *(f"  revoked: {name}" for name in done.names),
+        *_heading(done, "revoked"),
         "Participants refuse these names as soon as they have the new list.",
         "next:",
         *_list_step(done.folder, 1),
@@ -96,6 +88,13 @@ def _admitted_row(one: AdmittedParticipant, now: datetime) -> str:
     if state == "admitted" and days < RENEW_WITHIN_DAYS:
         state = "admitted, renew soon"
     return ROW.format(one.name, one.serial[:SERIAL_DIGITS], f"{one.expires_at:%Y-%m-%d}", max(days, 0), state)
+
+
+def _heading(done: Provisioned, what: str) -> list[str]:
+    """The list, and the names that were issued, with the end of their validity, or revoked."""
+    admitted = done.authority.admitted
+    names = [f"  {what}: {_with_end(admitted, name)}" for name in done.names]
+    return [f"fleet {done.authority.fleet}, admission list {admitted.number}", *names]
 
 
 def _with_end(admitted: Admitted, name: str) -> str:

@@ -88,9 +88,8 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
     predicted_max_distance_m: dict[str, float] | None
     predicted_min_distance_m: dict[str, float] | None
     stays_in_range: bool | None  # None: neighbours are given as edges
-    margin_to_range_m: (
-        float | None
-    )  # range + hysteresis - the largest distance of any pair that are neighbours at the start
+    # Range + hysteresis - the largest distance of any pair that are neighbours at the start
+    margin_to_range_m: float | None
     G: list[list[float]]
 
 

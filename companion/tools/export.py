@@ -11,12 +11,14 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from operator import attrgetter, itemgetter
 from pathlib import Path
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Any, get_args, get_origin
 
 from msgspec import Struct
 from msgspec.structs import fields
 
+from companion.config.validation import alternatives
 from companion.recording.alignment import RecordingClock, align
 from companion.recording.reader import Recording, recordings
 from companion.recording.records import DECISION, STATUS, DecisionRecord
@@ -28,7 +30,6 @@ from companion.wire.messages import StatusReport
 
 Getter = Callable[[Any], Any]
 AXES = ("east", "north", "up")
-NoneType = type(None)
 
 
 class Table:
@@ -45,31 +46,24 @@ class Table:
 
 def _of_struct(type_: type[Struct], prefix: str) -> Iterator[tuple[str, Getter]]:
     for field in fields(type_):
-        own = _attribute(field.name)
+        own = attrgetter(field.name)
         for name, getter in _columns(field.type, f"{prefix}{field.name}"):
             yield name, _chain(own, getter)
 
 
 def _columns(type_: Any, name: str) -> Iterator[tuple[str, Getter]]:
     """Columns of a value with this name, each with what makes its cell of the value."""
+    type_, *others = alternatives(type_)
     origin, parts = get_origin(type_), get_args(type_)
-    if origin is Annotated:
-        yield from _columns(parts[0], name)
-    elif origin is Union or type_.__class__.__name__ == "UnionType":
-        inner = [part for part in parts if part is not NoneType]
-        for column, getter in _columns(inner[0], name):
-            yield column, _unless_none(getter)
+    if others:  # None
+        yield from ((column, _unless_none(getter)) for column, getter in _columns(type_, name))
     elif isinstance(type_, type) and issubclass(type_, Struct):
         yield from _of_struct(type_, f"{name}_")
     elif origin is tuple and len(parts) == len(AXES) and "_enu_" in name:
         for index, axis in enumerate(AXES):
-            yield name.replace("_enu_", f"_{axis}_"), _item(index)
+            yield name.replace("_enu_", f"_{axis}_"), itemgetter(index)
     else:
         yield name, _cell
-
-
-def _attribute(name: str) -> Getter:
-    return lambda value: getattr(value, name)
 
 
 def _chain(first: Getter, then: Getter) -> Getter:
@@ -78,10 +72,6 @@ def _chain(first: Getter, then: Getter) -> Getter:
 
 def _unless_none(getter: Getter) -> Getter:
     return lambda value: "" if value is None else getter(value)
-
-
-def _item(index: int) -> Getter:
-    return lambda value: value[index]
 
 
 def _cell(value: Any) -> Any:

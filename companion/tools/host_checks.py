@@ -272,10 +272,7 @@ def report(board: Board, findings: Sequence[HostFinding]) -> Iterator[str]:
     yield printable(board.model or "an unknown board")
     rows = [(finding.verdict, finding.subject, finding.found, finding.remedy) for finding in findings]
     yield from map(printable, found_lines(rows, verdict_width=9))
-    counts = [f"{_count(findings, verdict)} {verdict}" for verdict in HostVerdict if _count(findings, verdict)]
+    counted = Counter(finding.verdict for finding in findings)
+    counts = [f"{counted[verdict]} {verdict}" for verdict in HostVerdict if counted[verdict]]
     yield ""
     yield ", ".join(reversed(counts))
-
-
-def _count(findings: Sequence[HostFinding], verdict: HostVerdict) -> int:
-    return sum(finding.verdict is verdict for finding in findings)
