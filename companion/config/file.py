@@ -194,27 +194,20 @@ def _values(node: yaml.Node, known: dict[yaml.Node, int]) -> int:
 
 
 FileKind = Literal["scenario", "vehicle", "fleet", "external", "slots", "reference"]
-KEYS_OF_KIND: dict[FileKind, set[str]] = {  # no other kind of file has these
-    "scenario": {"starts_enu_m", "timeline"},
-    "vehicle": {"mavlink", "hover_thrust_norm"},
-    "fleet": {"vehicles", "neighbours", "takeoff_height_m"},
-    "external": {"external_vehicles"},
-    "slots": {"slots_enu_m"},
-    "reference": set(),  # scenarios and vehicle files have such a section, too
-}
-A_FILE: dict[FileKind, str] = {
-    "scenario": "a scenario",
-    "vehicle": "a vehicle file",
-    "fleet": "a fleet file",
-    "external": "a file of external vehicles",
-    "slots": "a file with slots_enu_m",
-    "reference": "a file with nothing but a reference",
+FILE_KINDS: dict[FileKind, tuple[str, frozenset[str]]] = {  # its name in messages, and keys that no other kind has
+    "scenario": ("a scenario", frozenset({"starts_enu_m", "timeline"})),
+    "vehicle": ("a vehicle file", frozenset({"mavlink", "hover_thrust_norm"})),
+    "fleet": ("a fleet file", frozenset({"vehicles", "neighbours", "takeoff_height_m"})),
+    "external": ("a file of external vehicles", frozenset({"external_vehicles"})),
+    "slots": ("a file with slots_enu_m", frozenset({"slots_enu_m"})),
+    # Scenarios and vehicle files have such a section, too.
+    "reference": ("a file with nothing but a reference", frozenset()),
 }
 
 
 def kind_of_file(data: Any) -> FileKind | None:
     """The kind by the keys; None if they do not show one kind."""
-    kinds = [kind for kind, keys in KEYS_OF_KIND.items() if isinstance(data, dict) and keys & data.keys()]
+    kinds = [kind for kind, (_, keys) in FILE_KINDS.items() if isinstance(data, dict) and keys & data.keys()]
     return kinds[0] if len(kinds) == 1 else None
 
 
@@ -223,8 +216,8 @@ def read_as(path: Path, *expected: FileKind) -> Any:
     data = read_yaml(path)
     kind = kind_of_file(data)
     if kind is not None and kind not in expected:
-        wanted = " or ".join(A_FILE[kind] for kind in expected)
-        raise ConfigError(path, "", f"this is {A_FILE[kind]}; {wanted} is expected")
+        wanted = " or ".join(FILE_KINDS[kind][0] for kind in expected)
+        raise ConfigError(path, "", f"this is {FILE_KINDS[kind][0]}; {wanted} is expected")
     return data
 
 

@@ -17,6 +17,7 @@ from companion.types.values import Vector3
 
 Gain = Annotated[float, Meta(gt=0, le=10)]
 LawName = Literal["cooperative", "weighted", "average_22", "average_26"]
+OF_ONE_LAW = ("exponent", "weight_ratio", "feedforward", "leader_uses_neighbours")  # keys with a default of each law
 PAPER_LAWS: tuple[LawName, ...] = ("weighted", "average_22", "average_26")
 
 
@@ -79,22 +80,15 @@ class Law(Section, frozen=True):
         if name == self.name:
             return self
         same_gains = name in PAPER_LAWS and self.name in PAPER_LAWS
-        return replace(
-            self,
-            name=name,
-            gains=self.gains if same_gains else LawGains(),
-            exponent=None,
-            weight_ratio=None,
-            feedforward=None,
-            leader_uses_neighbours=None,
-        )
+        gains = self.gains if same_gains else LawGains()
+        return replace(self, name=name, gains=gains, **dict.fromkeys(OF_ONE_LAW))
 
 
 def law_problems(law: Law, where: str) -> Iterator[Problem]:
     """Parameters that an average law does not have: with them it would be the weighted law with another exponent."""
     if law.name not in ("average_22", "average_26"):
         return
-    for field in ("exponent", "weight_ratio", "feedforward", "leader_uses_neighbours"):
+    for field in OF_ONE_LAW:
         if getattr(law, field) is not None:
             hint = "take it out, or fly weighted (its average is exponent: 0)"
             yield Problem(f"{where}.{field}", f"{law.name} takes no {field}; {hint}")

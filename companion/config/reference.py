@@ -39,10 +39,7 @@ MANY_LEGS, DURATION_STEP = 32, 1.06
 TARGET_RATES = (0.1, 0.3, 1.0, 2.0, 4.0)  # of a target's motion, in units of largest acceleration over largest speed
 
 
-Period = Annotated[float, about("time of a lap at full pace", ge=1, le=3600)]
-Ramp = Annotated[float, about("time from rest to full pace", ge=0.1, le=60)]
 Speed = Annotated[float, about("largest speed", ge=0.01, le=100)]
-Acceleration = Annotated[float, about("largest acceleration", ge=0.01, le=50)]
 Size = Annotated[float, Meta(ge=0.01, le=1000)]
 
 
@@ -140,19 +137,14 @@ class BaseReference(Section, frozen=True):
         return self
 
 
-class LappingReference(BaseReference, frozen=True):
-    """One that laps: its keys are `period_s` and `ramp_s`."""
+class LappingReference(BaseReference, frozen=True, kw_only=True):
+    """One that laps."""
 
     LAP_SAMPLES: ClassVar[int]  # of LAP_SAMPLES, as far as pace and turns differ
     PLACE = "centre"
 
-    @property
-    def period_s(self) -> float:
-        raise NotImplementedError
-
-    @property
-    def ramp_s(self) -> float:
-        raise NotImplementedError
+    period_s: Annotated[float, about("time of a lap at full pace", ge=1, le=3600)]
+    ramp_s: Annotated[float, about("time from rest to full pace", ge=0.1, le=60)] = 5.0
 
     def lap_s(self) -> list[float]:
         """Times of a lap at full pace, as far as pace and turns differ."""
@@ -193,15 +185,13 @@ def _pace_of_laps(reference: LappingReference) -> tuple[float, float]:
     return max(hypot(*m[1]) for m in motions), max(hypot(*m[2]) for m in motions)
 
 
-class LimitedReference(BaseReference, frozen=True):
-    """One within limits: its keys are `max_speed_m_s` and `max_acceleration_m_s2`."""
+class LimitedReference(BaseReference, frozen=True, kw_only=True):
+    """One within limits; the kind declares its `max_speed_m_s`."""
+
+    max_acceleration_m_s2: Annotated[float, about("largest acceleration", ge=0.01, le=50)] = 1.0
 
     @property
     def max_speed_m_s(self) -> float:
-        raise NotImplementedError
-
-    @property
-    def max_acceleration_m_s2(self) -> float:
         raise NotImplementedError
 
     @property
@@ -245,7 +235,6 @@ class WaypointsReference(LimitedReference, frozen=True, tag_field="kind", tag="w
     points_enu_m: Annotated[tuple[PositionM, ...], about("the points in order", min_length=1, max_length=200)]
     wait_s: Annotated[float, about("time of the stop at each point", ge=0, le=3600)] = 0.0
     max_speed_m_s: Speed = 2.0
-    max_acceleration_m_s2: Acceleration = 1.0
 
     @property
     def start_enu_m(self) -> Vector3:
@@ -307,8 +296,6 @@ class CircleReference(LappingReference, frozen=True, tag_field="kind", tag="circ
 
     centre_enu_m: Annotated[PositionM, about("centre of the circle")]
     radius_m: Annotated[Size, about("radius")]
-    period_s: Period
-    ramp_s: Ramp = 5.0
     clockwise: Annotated[bool, about("`true`: clockwise, seen from above")] = False
 
     @property
@@ -337,8 +324,6 @@ class Figure8Reference(LappingReference, frozen=True, tag_field="kind", tag="fig
     centre_enu_m: Annotated[PositionM, about("centre of the 8, where it starts")]
     width_m: Annotated[Size, about("size of the whole 8 along x")]
     height_m: Annotated[Size, about("size of the whole 8 along y")]
-    period_s: Period
-    ramp_s: Ramp = 5.0
 
     def corners_enu_m(self) -> tuple[Vector3, Vector3]:
         return _box_about(self.centre_enu_m, self.width_m / 2.0, self.height_m / 2.0)
@@ -369,7 +354,6 @@ class TargetReference(LimitedReference, frozen=True, tag_field="kind", tag="targ
     offset_enu_m: Annotated[PositionM, about("offset of the RFT from the target")] = ZERO3
     follows_altitude: Annotated[bool, about("`true`: z follows the target; `false`: z stays that of the start")] = False
     max_speed_m_s: Speed = 3.0
-    max_acceleration_m_s2: Acceleration = 1.0
     max_age_s: Annotated[
         float, about("without a newer message for this time the RFT comes to rest", gt=0.05, le=10)
     ] = 1.0

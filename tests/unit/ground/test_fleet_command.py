@@ -125,15 +125,15 @@ def test_a_request_that_cannot_be_used_ends_with_2_and_a_reason(
         (["point", *AT], PointReference((0.0, -5.0, 4.0))),
         (
             ["waypoints", *AT, "--at", "3", "0", "4", "--pause", "2", "--speed", "3", "--acceleration", "0.5"],
-            WaypointsReference(((0.0, -5.0, 4.0), (3.0, 0.0, 4.0)), 2.0, 3.0, 0.5),
+            WaypointsReference(((0.0, -5.0, 4.0), (3.0, 0.0, 4.0)), 2.0, 3.0, max_acceleration_m_s2=0.5),
         ),
         (
             ["circle", *AT, "--radius", "8", "--period", "30", "--ramp", "4", "--clockwise"],
-            CircleReference((0.0, -5.0, 4.0), 8.0, 30.0, 4.0, clockwise=True),
+            CircleReference((0.0, -5.0, 4.0), 8.0, period_s=30.0, ramp_s=4.0, clockwise=True),
         ),
         (
             ["figure_8", *AT, "--width", "20", "--height", "8", "--period", "40"],
-            Figure8Reference((0.0, -5.0, 4.0), 20.0, 8.0, 40.0),
+            Figure8Reference((0.0, -5.0, 4.0), 20.0, 8.0, period_s=40.0),
         ),
         (
             ["target", "--name", "walker", "--offset", "0", "-2", "6", "--follows-altitude"],

@@ -344,7 +344,7 @@ def test_fence_check_covers_every_heading() -> None:
 
 
 def test_course_that_turns_too_fast_is_refused_with_a_remedy() -> None:
-    circle = CircleReference((0.0, 0.0, 3.0), 5.0, 20.0)  # 2 pi / 20 = 0.31 rad/s; 1 m/s at 5 m are 0.2
+    circle = CircleReference((0.0, 0.0, 3.0), 5.0, period_s=20.0)  # 2 pi / 20 = 0.31 rad/s; 1 m/s at 5 m are 0.2
     words = refusal(turning(), circle)
     assert "v.yaml: reference.period_s: 20 s turns the course by up to 0.31 rad/s" in words
     assert "reaches 5.0 m can 0.20; expected at least 31.5 s" in words
@@ -358,7 +358,7 @@ def test_speed_and_tilt_are_reserved_for_the_rotation() -> None:
     less_speed_m_s, less_acceleration_m_s2 = most_pace(turning(slot_speed_m_s=2.0))
     assert less_speed_m_s == pytest.approx(speed_m_s - 2.0)
     assert less_acceleration_m_s2 == pytest.approx(acceleration_m_s2 - SLOT_ACCELERATION_M_S2)
-    fast = CircleReference((0.0, 0.0, 3.0), 30.0, 12.0, ramp_s=30.0)
+    fast = CircleReference((0.0, 0.0, 3.0), 30.0, period_s=12.0, ramp_s=30.0)
     assert "less what slots need that turn" not in refusal(load_fleet(PAIR), fast)
     assert "less what slots need that turn" in refusal(turning(), fast)
 

@@ -131,7 +131,7 @@ WAY = WaypointsReference(points_enu_m=((0.0, 0.0, 2.0), (8.0, 0.0, 3.0), (8.0, -
 TARGET = TargetReference(start_enu_m=(1.0, 2.0, 3.0))
 
 
-@pytest.mark.parametrize("reference", [CIRCLE, CircleReference((1.0, -2.0, 3.0), 5.0, 20.0, 3.0, clockwise=True), WAY])
+@pytest.mark.parametrize("reference", [CIRCLE, replace(CIRCLE, ramp_s=3.0, clockwise=True), WAY])
 def test_every_kind_begins_at_rest_and_keeps_its_box_and_limits(reference: Reference) -> None:
     position, velocity, acceleration = sampled(reference)
     low, high = reference.corners_enu_m()
@@ -147,7 +147,7 @@ def test_every_kind_begins_at_rest_and_keeps_its_box_and_limits(reference: Refer
 
 def test_circle_is_counterclockwise_from_the_east_by_default() -> None:
     for clockwise, side in ((False, 1.0), (True, -1.0)):
-        circle = trajectory_of(CircleReference((0.0, 0.0, 3.0), 5.0, 20.0, 2.0, clockwise))
+        circle = trajectory_of(CircleReference((0.0, 0.0, 3.0), 5.0, clockwise, period_s=20.0, ramp_s=2.0))
         assert circle(0.0).position_enu_m == (5.0, 0.0, 3.0)
         assert circle(1.0 + 5.0).position_enu_m == pytest.approx((0.0, side * 5.0, 3.0))
 
