@@ -72,21 +72,20 @@ def _add_fleet(parser: argparse.ArgumentParser) -> None:
         "use", help="saves or shows the current fleet: a fleet file and endpoints", description=USE
     )
     _add_use(use)
-    for name, summary in REPORTS.items():
-        parents = [_connection_options(), _vehicle_options()]
-        actions.add_parser(name, parents=parents, help=summary, description=summary, epilog=SEE)
-    for name, summary in SIMPLE_COMMANDS.items():
-        parents = [_connection_options(), _waiting_options(), _vehicle_options()]
-        actions.add_parser(name, parents=parents, help=summary, description=summary, epilog=SEE)
+    connection, vehicles = _connection_options(), _vehicle_options()
+    command = [connection, _waiting_options()]
+    for parents, summaries in (([connection, vehicles], REPORTS), ([*command, vehicles], SIMPLE_COMMANDS)):
+        for name, summary in summaries.items():
+            actions.add_parser(name, parents=parents, help=summary, description=summary, epilog=SEE)
     summary = "sends a new admission list to the vehicles, as after companion provision revoke"
-    admit = actions.add_parser("admit", parents=[_connection_options()], help=summary, description=ADMIT, epilog=SEE)
+    admit = actions.add_parser("admit", parents=[connection], help=summary, description=ADMIT, epilog=SEE)
     admit.add_argument("file", type=Path, metavar="FILE", help="admitted.json of the own identity, or of any other")
-    command, raw = [_connection_options(), _waiting_options()], argparse.RawDescriptionHelpFormatter
     summary = "changes the leader, in flight as well"
     leader = actions.add_parser("leader", parents=command, help=summary, description=summary, epilog=SEE)
     leader.add_argument(
         "leaders", nargs="+", type=vehicle_id, metavar="ID", help="the new leaders; all other vehicles follow"
     )
+    raw = argparse.RawDescriptionHelpFormatter
     for name, (summary, description, examples, add_options) in CHANGES.items():
         one = actions.add_parser(
             name, parents=command, help=summary, description=description, epilog=examples, formatter_class=raw

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import get_args
 
+import msgspec
+
 from companion.cli.program import CliCommand
 from companion.config.fleet import LawName
 from companion.config.new_formation import NewFormation, ReferenceKind
@@ -21,7 +23,12 @@ def add_formation(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--vehicles", type=int, required=True, metavar="N", help="number of vehicles; vehicle 1 leads")
     parser.add_argument("--shape", choices=get_args(ShapeName), default="line", help="shape (default line)")
     parser.add_argument(
-        "--spacing", type=float, default=3.0, metavar="M", help="smallest distance between slots (default 3)"
+        "--spacing",
+        dest="spacing_m",
+        type=float,
+        default=3.0,
+        metavar="M",
+        help="smallest distance between slots (default 3)",
     )
     parser.add_argument("--topology", choices=get_args(Topology), default="chain", help="neighbours (default chain)")
     parser.add_argument(
@@ -34,26 +41,18 @@ def add_formation(parser: argparse.ArgumentParser) -> None:
         default="fixed",
         help="fixed: the formation points east; course: it turns with the reference (default fixed)",
     )
-    parser.add_argument("--height", type=float, default=3.0, metavar="M", help="height of the flight (default 3)")
+    parser.add_argument(
+        "--height", dest="height_m", type=float, default=3.0, metavar="M", help="height of the flight (default 3)"
+    )
     parser.add_argument(
         "--may-lead", type=int, nargs="+", default=[], metavar="ID", help="followers that can become leader"
     )
 
 
-def formation_of(parsed: argparse.Namespace, name: str) -> NewFormation:
-    """The choices of the command line."""
-    return NewFormation(
-        name=name,
-        vehicles=parsed.vehicles,
-        shape=parsed.shape,
-        spacing_m=parsed.spacing,
-        topology=parsed.topology,
-        reference=parsed.reference,
-        law=parsed.law,
-        heading=parsed.heading,
-        height_m=parsed.height,
-        may_lead=tuple(dict.fromkeys(parsed.may_lead)),
-    )
+def formation_of(parsed: argparse.Namespace) -> NewFormation:
+    """The choices of the command line, which have the names of the fields."""
+    may_lead = tuple(dict.fromkeys(parsed.may_lead))
+    return msgspec.convert({**vars(parsed), "may_lead": may_lead}, NewFormation)
 
 
 def _add_init(parser: argparse.ArgumentParser) -> None:
@@ -102,7 +101,7 @@ def _run_init(options: argparse.Namespace) -> int:
     from companion.mavlink.autopilot_types import PROFILES
 
     choices = NewFleet(
-        formation=formation_of(options, options.name),
+        formation=formation_of(options),
         origin=origin_of(options.origin),
         addresses=options.address,
         mavlink=options.mavlink,

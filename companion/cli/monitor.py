@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from companion.security.identity import Identity
 
 LISTEN = "127.0.0.1:8600"
+# Options of the live page alone, with what they are without one
+OF_PAGE = {"listen": LISTEN, "control": False, "mavlink": None, "replay": None, "record": None, "tiles": None}
 SIMULATED_VEHICLES = range(1, 9)  # by default
 
 
@@ -58,22 +60,10 @@ def _add_monitor(parser: argparse.ArgumentParser) -> None:
     terminal.add_argument("--json", action="store_true", help="one JSON array per table instead of the table")
 
 
-def _options_of_page(options: argparse.Namespace) -> list[str]:
-    """Those that were given."""
-    values = {
-        "--listen": options.listen != LISTEN,
-        "--control": options.control,
-        "--mavlink": options.mavlink,
-        "--replay": options.replay,
-        "--record": options.record,
-        "--tiles": options.tiles,
-    }
-    return [name for name, value in values.items() if value]
-
-
 def _run_monitor(options: argparse.Namespace) -> int:
     in_terminal = options.tui or options.once or options.json
-    if in_terminal and (given := _options_of_page(options)):
+    given = [f"--{name}" for name, default in OF_PAGE.items() if getattr(options, name) != default]
+    if in_terminal and given:
         reason = f"{', '.join(given)}: only for the live page; leave --tui, --once and --json out"
         raise RefusedCommandError(reason)
     try:

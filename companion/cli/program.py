@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -45,7 +46,7 @@ class CliCommand:
 
     def check_installed(self, program: str) -> None:
         """To be called before `run`. Raises UnusableError, which names the packages that are missing."""
-        missing = [package for package in self.needs if not _is_installed(package)]
+        missing = [package for package in self.needs if not find_spec(package)]
         if missing:
             verb = "is" if len(missing) == 1 else "are"
             raise UnusableError(f"{program} {self.name}: {', '.join(missing)}: {verb} not installed; {GROUND_INSTALL}")
@@ -104,12 +105,6 @@ class Program:
                 command.add_arguments(one)
             one.set_defaults(chosen=command)
         return made
-
-
-def _is_installed(package: str) -> bool:
-    from importlib.util import find_spec
-
-    return find_spec(package) is not None
 
 
 class Help(argparse.RawDescriptionHelpFormatter):

@@ -45,12 +45,7 @@ LIST = "Show the participants with the end of their certificates, and those that
 def _add_provision(parser: argparse.ArgumentParser) -> None:
     raw = argparse.RawDescriptionHelpFormatter
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION", title="actions")
-    for name, summary, description, add in (
-        ("new", "identities for the vehicles of the fleet file and for named participants", NEW, _add_new),
-        ("renew", "new keys and certificates under the same names", RENEW, _add_renew),
-        ("revoke", "takes identities out of the admission list", REVOKE, _add_revoke),
-        ("list", "names, ends of validity and states", LIST, None),
-    ):
+    for name, (summary, description, add, _) in ACTIONS.items():
         one = actions.add_parser(name, help=summary, description=description, epilog=EXIT_CODES, formatter_class=raw)
         one.add_argument("folder", type=Path, metavar="DIR", help="folder of the fleet file and the vehicle files")
         if add is not None:
@@ -61,7 +56,8 @@ def _run_provision(options: argparse.Namespace) -> int:
     if options.folder.is_file():
         expected = "expected the folder of the fleet file and the vehicle files, which companion init writes"
         raise UnusableError(f"{options.folder}: is a file; {expected}")
-    print(ACTIONS[options.action](options), end="")
+    *_, run = ACTIONS[options.action]
+    print(run(options), end="")
     return EXIT_DONE
 
 
@@ -142,11 +138,12 @@ def _list(options: argparse.Namespace) -> str:
     return list_text(open_provisioned(options.folder), _now())
 
 
-ACTIONS: dict[str, Callable[[argparse.Namespace], str]] = {
-    "new": _new,
-    "renew": _renew,
-    "revoke": _revoke,
-    "list": _list,
+AddOptions = Callable[[argparse.ArgumentParser], None]
+ACTIONS: dict[str, tuple[str, str, AddOptions | None, Callable[[argparse.Namespace], str]]] = {
+    "new": ("identities for the vehicles of the fleet file and for named participants", NEW, _add_new, _new),
+    "renew": ("new keys and certificates under the same names", RENEW, _add_renew, _renew),
+    "revoke": ("takes identities out of the admission list", REVOKE, _add_revoke, _revoke),
+    "list": ("names, ends of validity and states", LIST, None, _list),
 }
 
 

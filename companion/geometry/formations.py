@@ -5,7 +5,7 @@ Every check against `separation_m` uses this metric: fleet files, formation chan
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import combinations
 from math import atan2, ceil, cos, dist, hypot, inf, pi, remainder, sin, sqrt, tau
 
@@ -59,17 +59,12 @@ def v(n: int) -> list[Vector3]:
 def diamond(n: int) -> list[Vector3]:
     """A square with a corner ahead: four vehicles on the corners, further ones on the sides."""
     corners = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]
-    shares = [0, 0, 0, 0]
-    for extra in range(n - 4):
-        shares[(0, 2, 3, 1)[extra % 4]] += 1  # opposite sides first
-    return _outline(corners, shares)[:n]
+    return _outline(corners, _shares(n, (0, 2, 3, 1)))[:n]  # opposite sides first
 
 
 def rectangle(n: int) -> list[Vector3]:
     """The outline of a rectangle on a grid; the sides along x are the longer ones."""
-    shares = [0, 0, 0, 0]  # front, left, back, right
-    for extra in range(n - 4):
-        shares[(1, 3, 0, 2)[extra % 4]] += 1
+    shares = _shares(n, (1, 3, 0, 2))  # front, left, back, right
     length, width = max(shares[1], shares[3]) + 1.0, max(shares[0], shares[2]) + 1.0
     x, y = length / 2.0, width / 2.0
     return _outline([(x, -y), (x, y), (-x, y), (-x, -y)], shares)[:n]
@@ -145,6 +140,11 @@ def smallest_distance(slots: list[Vector3]) -> float:
 def _rank(i: int) -> int:
     """0 for the point, then 1, 1, 2, 2, ..."""
     return (i + 1) // 2
+
+
+def _shares(n: int, order: Sequence[int]) -> list[int]:
+    """How many of n vehicles are on each side between its corners, where the sides get one in this order."""
+    return [len(range(order.index(side), n - 4, 4)) for side in range(4)]
 
 
 def _outline(corners: list[tuple[float, float]], shares: list[int]) -> list[Vector3]:

@@ -68,7 +68,7 @@ def _add_new(parser: argparse.ArgumentParser) -> None:
 def _run_new(options: argparse.Namespace) -> int:
     from sitl.flight.new_scenario import new_scenario
 
-    print(new_scenario(formation_of(options, options.name), options.folder), end="")
+    print(new_scenario(formation_of(options), options.folder), end="")
     return 0
 
 
