@@ -7,13 +7,38 @@ import sys
 from importlib.util import find_spec
 
 from companion.cli.options import add_vehicle_file
-from companion.cli.program import CliCommand
+from companion.cli.program import command
 from companion.types.errors import EXIT_DONE
 
 BUILT_IN_SHA256 = ("_sha256", "_sha2")  # until Python 3.11, and since
 
 
 def _run_agent(options: argparse.Namespace) -> int:
+    """Run the agent of one vehicle. It reads telemetry from the autopilot over MAVLink and the states of
+    the peers over Zenoh, and sends attitude and thrust setpoints at 50 Hz. It starts in phase observe
+    and sends no setpoint before a command.
+
+    examples:
+      companion agent --config config/vehicles/simulation-1.yaml
+      companion agent --config /etc/companion/vehicle-3.yaml --wait-s 60
+
+    The vehicle file names the autopilot and the peers (examples: config/vehicles/):
+      mavlink: udpin:0.0.0.0:14540             listen where the autopilot sends (PX4's onboard link)
+      mavlink: tcp:192.168.1.20:5760           connect
+      mavlink: serial:/dev/ttyAMA0:921600      a telemetry port of the flight controller
+    The HEARTBEAT identifies PX4 or ArduCopter; `autopilot: px4` or `autopilot: ardupilot` in the
+    vehicle file requires one of them.
+
+    SIGTERM and SIGINT (Ctrl-C) end the agent. A vehicle in formation is first handed over to the
+    autopilot's hold mode, for at most 2 s. Each event is one line on standard error.
+
+    exit codes:
+      0  ended by a signal
+      2  a file, an endpoint in it or an argument cannot be used; standard error has the reason
+      3  the autopilot never answered
+      4  a defect: level attitude and the autopilot's hold mode were sent first; standard error has the reason
+    """
+
     leave_out_openssl()
     try:
         from companion.app import Settings, run_agent
@@ -38,35 +63,4 @@ def leave_out_openssl() -> None:
         sys.modules.setdefault(name, None)  # type: ignore[arg-type]  # documented: an import of it then fails
 
 
-AGENT = CliCommand(
-    name="agent",
-    summary="runs on each vehicle, beside its autopilot",
-    description="""\
-Run the agent of one vehicle. It reads telemetry from the autopilot over MAVLink and the states of
-the peers over Zenoh, and sends attitude and thrust setpoints at 50 Hz. It starts in phase observe
-and sends no setpoint before a command.
-""",
-    more="""\
-examples:
-  companion agent --config config/vehicles/simulation-1.yaml
-  companion agent --config /etc/companion/vehicle-3.yaml --wait-s 60
-
-The vehicle file names the autopilot and the peers (examples: config/vehicles/):
-  mavlink: udpin:0.0.0.0:14540             listen where the autopilot sends (PX4's onboard link)
-  mavlink: tcp:192.168.1.20:5760           connect
-  mavlink: serial:/dev/ttyAMA0:921600      a telemetry port of the flight controller
-The HEARTBEAT identifies PX4 or ArduCopter; `autopilot: px4` or `autopilot: ardupilot` in the
-vehicle file requires one of them.
-
-SIGTERM and SIGINT (Ctrl-C) end the agent. A vehicle in formation is first handed over to the
-autopilot's hold mode, for at most 2 s. Each event is one line on standard error.
-
-exit codes:
-  0  ended by a signal
-  2  a file, an endpoint in it or an argument cannot be used; standard error has the reason
-  3  the autopilot never answered
-  4  a defect: level attitude and the autopilot's hold mode were sent first; standard error has the reason
-""",
-    add_arguments=add_vehicle_file,
-    run=_run_agent,
-)
+AGENT = command("agent", "runs on each vehicle, beside its autopilot", add_vehicle_file, _run_agent)

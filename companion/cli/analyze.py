@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from companion.cli.options import add_json, add_overrides
-from companion.cli.program import CliCommand
+from companion.cli.program import command
 from companion.types.errors import EXIT_DONE, UnusableError
 
 EXIT_CONVERGES, EXIT_CANNOT_CONVERGE = 0, 1
@@ -20,6 +20,28 @@ def _add_analyze(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_analyze(options: argparse.Namespace) -> int:
+    """Predict the behaviour of a formation before it flies: the neighbours of each vehicle, the
+    interaction matrix G under each law, its eigenvalues, rate, damping and delay margin, the largest
+    and smallest distances to expect, and a verdict.
+
+    examples:
+      companion analyze config/scenarios/platoon.yaml
+      companion analyze config/scenarios/chain_16.yaml --set fleet.law.weight_ratio=0.1
+      companion analyze /etc/companion/fleet.yaml --json | jq '.laws.weighted.lambda_min'
+
+    A scenario defines the start positions and the reference; a fleet file alone is analyzed for a
+    step of 1 m. The predictions come from a linear model with an attitude lag of 0.2 s and a delay of
+    50 ms, without noise and limits. This lag is on the safe side: the stand-ins and the autopilots'
+    own simulations follow faster, and large fleets settle sooner there. --set takes any key of the
+    file and a YAML value.
+
+    exit codes:
+      0    the formation converges, whatever else the verdict reports
+      1    it cannot converge: no path to a leader, or an unstable law with that lag and delay
+      2    the file cannot be used
+      130  ended by Ctrl-C
+    """
+
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # numpy's matrices are small: threads only wait for each other
 
     import msgspec
@@ -44,6 +66,18 @@ def _add_explain(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_explain(options: argparse.Namespace) -> int:
+    """Explain a code of a message: its symptom, cause and remedy. Without a code: all codes, in one line
+    each. The same texts are the page docs/troubleshooting.md.
+
+    examples:
+      companion explain SLOT_TOO_CLOSE
+      companion explain | grep LEADER
+
+    exit codes:
+      0    explained
+      2    no such code
+    """
+
     from companion.tools.explanations import listing, report
     from companion.types.code_table import code_entries
 
@@ -57,53 +91,7 @@ def _run_explain(options: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-ANALYZE = CliCommand(
-    name="analyze",
-    summary="predicts the behaviour of a formation before it flies",
-    description="""\
-Predict the behaviour of a formation before it flies: the neighbours of each vehicle, the
-interaction matrix G under each law, its eigenvalues, rate, damping and delay margin, the largest
-and smallest distances to expect, and a verdict.
-""",
-    more="""\
-examples:
-  companion analyze config/scenarios/platoon.yaml
-  companion analyze config/scenarios/chain_16.yaml --set fleet.law.weight_ratio=0.1
-  companion analyze /etc/companion/fleet.yaml --json | jq '.laws.weighted.lambda_min'
-
-A scenario defines the start positions and the reference; a fleet file alone is analyzed for a
-step of 1 m. The predictions come from a linear model with an attitude lag of 0.2 s and a delay of
-50 ms, without noise and limits. This lag is on the safe side: the stand-ins and the autopilots'
-own simulations follow faster, and large fleets settle sooner there. --set takes any key of the
-file and a YAML value.
-
-exit codes:
-  0    the formation converges, whatever else the verdict reports
-  1    it cannot converge: no path to a leader, or an unstable law with that lag and delay
-  2    the file cannot be used
-  130  ended by Ctrl-C
-""",
-    add_arguments=_add_analyze,
-    run=_run_analyze,
-)
+ANALYZE = command("analyze", "predicts the behaviour of a formation before it flies", _add_analyze, _run_analyze)
 
 
-EXPLAIN = CliCommand(
-    name="explain",
-    summary="explains a code of a message: symptom, cause, remedy",
-    description="""\
-Explain a code of a message: its symptom, cause and remedy. Without a code: all codes, in one line each. The same texts are the
-page docs/troubleshooting.md.
-""",
-    more="""\
-examples:
-  companion explain SLOT_TOO_CLOSE
-  companion explain | grep LEADER
-
-exit codes:
-  0    explained
-  2    no such code
-""",
-    add_arguments=_add_explain,
-    run=_run_explain,
-)
+EXPLAIN = command("explain", "explains a code of a message: symptom, cause, remedy", _add_explain, _run_explain)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from companion import GROUND_INSTALL
 from companion.cli.options import add_identity
-from companion.cli.program import CliCommand
+from companion.cli.program import command
 from companion.types.errors import EXIT_DONE, RefusedCommandError
 
 if TYPE_CHECKING:
@@ -61,6 +61,43 @@ def _add_monitor(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_monitor(options: argparse.Namespace) -> int:
+    """Show every vehicle of a fleet, from Zenoh alone. Prints one URL: the live page has a map, the
+    vehicles, alarms, plots and a timeline, and works without the internet. --tui shows the essentials
+    in the terminal instead. A vehicle without a report for one second is SILENT and stays.
+
+    examples:
+      companion monitor                                          the current fleet, or a simulation
+      companion monitor --control                                and commands from the page
+      companion monitor --connect tls/192.168.1.11:7447 --identity identity      one vehicle of a real fleet
+      companion monitor --fleet-file fleet.yaml --tiles tiles    with fence, slots and a local map
+      companion monitor --listen 0.0.0.0:8600                    for the tablets in this network
+      companion monitor --mavlink udpout:127.0.0.1:14550         and in QGroundControl
+      companion monitor --replay flights/2026-05-03              a recorded flight
+      companion monitor --tui                                    over ssh
+      companion monitor --once --json | jq '.[].error_to_slot_m'
+
+    The page needs no file of a fleet to show its vehicles; with it, it also shows fence, obstacles,
+    slots and the figures of the law. The fleet file is --fleet-file, else COMPANION_FLEET, else the
+    current fleet (companion fleet use). Each endpoint reaches one vehicle; those of all vehicles come
+    from the addresses in the fleet file. A fleet with identities needs that of a ground or of a
+    monitor, and for --control that of a ground.
+
+    Without --control nothing can be sent. With it the URL has a token: who has the URL commands the
+    fleet. Only this machine reaches the default address; the connection is not encrypted, so use it
+    over other networks through ssh -L 8600:127.0.0.1:8600, or a VPN.
+
+    docs/api.md has the interface for programs: JSON, WebSocket, /metrics for Prometheus.
+    docs/monitor-interfaces.md has the terminal's columns, and what QGroundControl is sent.
+
+    --tui on terminals of 80, 120 and 200 columns shows more the wider they are; into a pipe or a file
+    it is printed once a second. --once prints it one time.
+
+    exit codes:
+      0  ended by Ctrl-C, or --once received at least one report
+      1  --once received no report for 3 s
+      2  an argument cannot be used, the address is in use, or a package is missing
+    """
+
     in_terminal = options.tui or options.once or options.json
     given = [f"--{name}" for name, default in OF_PAGE.items() if getattr(options, name) != default]
     if in_terminal and given:
@@ -137,47 +174,6 @@ def _run_page(options: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-MONITOR = CliCommand(
-    name="monitor",
-    summary="shows a fleet live: a page for the browser, or a table in the terminal",
-    description="""\
-Show every vehicle of a fleet, from Zenoh alone. Prints one URL: the live page has a map, the
-vehicles, alarms, plots and a timeline, and works without the internet. --tui shows the essentials
-in the terminal instead. A vehicle without a report for one second is SILENT and stays.
-""",
-    more="""\
-examples:
-  companion monitor                                          the current fleet, or a simulation
-  companion monitor --control                                and commands from the page
-  companion monitor --connect tls/192.168.1.11:7447 --identity identity      one vehicle of a real fleet
-  companion monitor --fleet-file fleet.yaml --tiles tiles    with fence, slots and a local map
-  companion monitor --listen 0.0.0.0:8600                    for the tablets in this network
-  companion monitor --mavlink udpout:127.0.0.1:14550         and in QGroundControl
-  companion monitor --replay flights/2026-05-03              a recorded flight
-  companion monitor --tui                                    over ssh
-  companion monitor --once --json | jq '.[].error_to_slot_m'
-
-The page needs no file of a fleet to show its vehicles; with it, it also shows fence, obstacles,
-slots and the figures of the law. The fleet file is --fleet-file, else COMPANION_FLEET, else the
-current fleet (companion fleet use). Each endpoint reaches one vehicle; those of all vehicles come
-from the addresses in the fleet file. A fleet with identities needs that of a ground or of a
-monitor, and for --control that of a ground.
-
-Without --control nothing can be sent. With it the URL has a token: who has the URL commands the
-fleet. Only this machine reaches the default address; the connection is not encrypted, so use it
-over other networks through ssh -L 8600:127.0.0.1:8600, or a VPN.
-
-docs/api.md has the interface for programs: JSON, WebSocket, /metrics for Prometheus.
-docs/monitor-interfaces.md has the terminal's columns, and what QGroundControl is sent.
-
---tui on terminals of 80, 120 and 200 columns shows more the wider they are; into a pipe or a file
-it is printed once a second. --once prints it one time.
-
-exit codes:
-  0  ended by Ctrl-C, or --once received at least one report
-  1  --once received no report for 3 s
-  2  an argument cannot be used, the address is in use, or a package is missing
-""",
-    add_arguments=_add_monitor,
-    run=_run_monitor,
+MONITOR = command(
+    "monitor", "shows a fleet live: a page for the browser, or a table in the terminal", _add_monitor, _run_monitor
 )

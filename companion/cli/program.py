@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
+from inspect import cleandoc
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -50,6 +51,17 @@ class CliCommand:
         if missing:
             verb = "is" if len(missing) == 1 else "are"
             raise UnusableError(f"{program} {self.name}: {', '.join(missing)}: {verb} not installed; {GROUND_INSTALL}")
+
+
+def command(
+    name: str,
+    summary: str,
+    add_arguments: Callable[[argparse.ArgumentParser], None],
+    run: Callable[[argparse.Namespace], int],
+) -> CliCommand:
+    """The command that `run` carries out, whose docstring is the help: from "examples:" on it follows the arguments."""
+    description, _, more = cleandoc(run.__doc__ or "").partition("\n\nexamples:\n")
+    return CliCommand(name, summary, f"{description}\n", f"examples:\n{more}\n", add_arguments, run)
 
 
 def exit_code_of(command: str, run: Callable[[], int]) -> int:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from companion.cli.options import whole_number
-from companion.cli.program import CliCommand
+from companion.cli.program import command
 from companion.types.errors import EXIT_DONE, UnusableError
 
 if TYPE_CHECKING:
@@ -20,12 +20,6 @@ if TYPE_CHECKING:
 MAX_DAYS = 3650
 DEFAULT_DAYS = 365
 
-EXIT_CODES = """\
-exit codes:
-  0    done; the last lines are what to go on with
-  2    an argument or a file cannot be used; the line names it
-  130  ended by Ctrl-C; the same command completes what is missing
-"""
 NEW = """\
 Make the authority, once, and an identity for each vehicle of the fleet file and for each named
 participant that has none. What exists stays as it is: run it again for a vehicle or a ground
@@ -43,16 +37,38 @@ LIST = "Show the participants with the end of their certificates, and those that
 
 
 def _add_provision(parser: argparse.ArgumentParser) -> None:
-    raw = argparse.RawDescriptionHelpFormatter
+    raw, exit_codes = argparse.RawDescriptionHelpFormatter, PROVISION.more[PROVISION.more.index("exit codes:") :]
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION", title="actions")
     for name, (summary, description, add, _) in ACTIONS.items():
-        one = actions.add_parser(name, help=summary, description=description, epilog=EXIT_CODES, formatter_class=raw)
+        one = actions.add_parser(name, help=summary, description=description, epilog=exit_codes, formatter_class=raw)
         one.add_argument("folder", type=Path, metavar="DIR", help="folder of the fleet file and the vehicle files")
         if add is not None:
             add(one)
 
 
 def _run_provision(options: argparse.Namespace) -> int:
+    """Make the identities with which the participants of a fleet know each other: vehicles, ground
+    stations, monitors, targets and sources of traffic. An authority of the fleet signs a certificate
+    for each, and the list of all that are admitted. DIR is the folder that companion init wrote.
+
+    examples:
+      companion init field --vehicles 3 --origin 47.3977 8.5456 488
+      companion provision new field --ground anna ben --monitor tower
+      companion provision list field
+      companion provision renew field --all
+      companion provision revoke field vehicle-3
+
+    folders:
+      DIR/authority       key of the authority (private.key), its certificate and the admission list;
+                          stays here, with a backup
+      DIR/copy/NAME       what goes to the computer of one participant
+      DIR/retired         what copy/ held before a renewal or a revocation
+
+    exit codes:
+      0    done; the last lines are what to go on with
+      2    an argument or a file cannot be used; the line names it
+      130  ended by Ctrl-C; the same command completes what is missing
+    """
     if options.folder.is_file():
         expected = "expected the folder of the fleet file and the vehicle files, which companion init writes"
         raise UnusableError(f"{options.folder}: is a file; {expected}")
@@ -163,29 +179,6 @@ def _default_ground() -> ParticipantName:
     return participant_name(ParticipantRole.GROUND, text or "operator")
 
 
-PROVISION = CliCommand(
-    name="provision",
-    summary="makes, renews, lists and revokes the identities of a fleet",
-    description="""\
-Make the identities with which the participants of a fleet know each other: vehicles, ground
-stations, monitors, targets and sources of traffic. An authority of the fleet signs a certificate
-for each, and the list of all that are admitted. DIR is the folder that companion init wrote.
-""",
-    more=f"""\
-examples:
-  companion init field --vehicles 3 --origin 47.3977 8.5456 488
-  companion provision new field --ground anna ben --monitor tower
-  companion provision list field
-  companion provision renew field --all
-  companion provision revoke field vehicle-3
-
-folders:
-  DIR/authority       key of the authority (private.key), its certificate and the admission list;
-                      stays here, with a backup
-  DIR/copy/NAME       what goes to the computer of one participant
-  DIR/retired         what copy/ held before a renewal or a revocation
-
-{EXIT_CODES}""",
-    add_arguments=_add_provision,
-    run=_run_provision,
+PROVISION = command(
+    "provision", "makes, renews, lists and revokes the identities of a fleet", _add_provision, _run_provision
 )
