@@ -10,7 +10,7 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from companion.config.validation import Problem
-from companion.config.values import Name, NetworkAddress, ObstacleSection, PointM, PositionM, Section, VehicleId, about
+from companion.config.values import Name, NetworkAddress, ObstacleSection, PointM, PositionM, Section, VehicleId
 from companion.geometry.airspace import Airspace, Fence
 from companion.types.flight import Role
 from companion.types.values import Vector3
@@ -22,58 +22,51 @@ PAPER_LAWS: tuple[LawName, ...] = ("weighted", "average_22", "average_26")
 
 
 class LawGains(Section, frozen=True):
-    """Gains K = [k1, k2] of eq. 14. Without a value the law's own gain applies."""
+    """Gains K = [k1, k2] of eq. 14. Without a value the law's own gain applies.
 
-    position_1_s2: Annotated[Gain | None, about("k1, on the position error")] = None
-    velocity_1_s: Annotated[Gain | None, about("k2, on the velocity error")] = None
+    position_1_s2: k1, on the position error
+    velocity_1_s: k2, on the velocity error
+    """
+
+    position_1_s2: Gain | None = None
+    velocity_1_s: Gain | None = None
 
 
 class AltitudeHoldGains(Section, frozen=True):
-    """Gains of the altitude controller of a vehicle that holds its own altitude."""
+    """Gains of the altitude controller of a vehicle that holds its own altitude.
 
-    position_1_s2: Annotated[Gain, about("on the altitude error")] = 2.0
-    velocity_1_s: Annotated[Gain, about("on the climb rate")] = 2.4
+    position_1_s2: on the altitude error
+    velocity_1_s: on the climb rate
+    """
+
+    position_1_s2: Gain = 2.0
+    velocity_1_s: Gain = 2.4
 
 
 class Law(Section, frozen=True):
-    """The formation law and its parameters. A parameter that is left out has the value of the named law."""
+    """The formation law and its parameters. A parameter that is left out has the value of the named law.
 
-    name: Annotated[
-        LawName,
-        about(
-            "`cooperative` is the law to fly; `weighted` is the paper's; `average_22` and `average_26` are those"
-            " that the paper compares it with"
-        ),
-    ] = "cooperative"
+    name: `cooperative` is the law to fly; `weighted` is the paper's; `average_22` and `average_26` are those that the
+        paper compares it with
+    exponent: alpha of the weights rho^p / p^alpha; 1 in the paper's Algorithm 2
+    weight_ratio: rho of the weights rho^p / p^alpha; 1 in the paper
+    feedforward: share of the neighbours' acceleration that is fed forward
+    leader_uses_neighbours: `false`: a leader tracks its reference without its neighbours
+    altitude: `formation`: the law controls z too; `hold`: each vehicle holds the altitude it entered with
+    disturbance_bandwidth_1_s: bandwidth of the observer for wind and hover thrust error; 0 switches it off
+    velocity_correction_1_s: bandwidth of the filter that makes the velocity agree with the position; 0 switches it off
+    """
+
+    name: LawName = "cooperative"
     gains: LawGains = LawGains()
-    exponent: (
-        Annotated[float, about("alpha of the weights rho^p / p^alpha; 1 in the paper's Algorithm 2", ge=0, le=16)]
-        | None
-    ) = None
-    weight_ratio: (
-        Annotated[float, about("rho of the weights rho^p / p^alpha; 1 in the paper", ge=0.001, le=1)] | None
-    ) = None
-    feedforward: (
-        Annotated[float, about("share of the neighbours' acceleration that is fed forward", ge=0, le=0.99)] | None
-    ) = None
-    leader_uses_neighbours: Annotated[
-        bool | None, about("`false`: a leader tracks its reference without its neighbours")
-    ] = None
-    altitude: Annotated[
-        Literal["formation", "hold"],
-        about("`formation`: the law controls z too; `hold`: each vehicle holds the altitude it entered with"),
-    ] = "formation"
+    exponent: Annotated[float, Meta(ge=0, le=16)] | None = None
+    weight_ratio: Annotated[float, Meta(ge=0.001, le=1)] | None = None
+    feedforward: Annotated[float, Meta(ge=0, le=0.99)] | None = None
+    leader_uses_neighbours: bool | None = None
+    altitude: Literal["formation", "hold"] = "formation"
     altitude_hold_gains: AltitudeHoldGains = AltitudeHoldGains()
-    disturbance_bandwidth_1_s: Annotated[
-        float,
-        about("bandwidth of the observer for wind and hover thrust error; 0 switches it off", ge=0, le=5),
-    ] = 4.0
-    velocity_correction_1_s: Annotated[
-        float,
-        about(
-            "bandwidth of the filter that makes the velocity agree with the position; 0 switches it off", ge=0, le=10
-        ),
-    ] = 2.0
+    disturbance_bandwidth_1_s: Annotated[float, Meta(ge=0, le=5)] = 4.0
+    velocity_correction_1_s: Annotated[float, Meta(ge=0, le=10)] = 2.0
 
     def with_name(self, name: LawName) -> Law:
         """Another law with these settings, for comparisons. The paper's three laws share their gains."""
@@ -95,11 +88,16 @@ def law_problems(law: Law, where: str) -> Iterator[Problem]:
 
 
 class GeodeticOrigin(Section, frozen=True):
-    """The zero of the fleet frame (ENU), as WGS84 latitude and longitude."""
+    """The zero of the fleet frame (ENU), as WGS84 latitude and longitude.
 
-    latitude_deg: Annotated[float, about("WGS84 latitude", ge=-85, le=85)]
-    longitude_deg: Annotated[float, about("WGS84 longitude", ge=-180, le=180)]
-    altitude_amsl_m: Annotated[float, about("altitude above mean sea level", ge=-500, le=9000)]
+    latitude_deg: WGS84 latitude
+    longitude_deg: WGS84 longitude
+    altitude_amsl_m: altitude above mean sea level
+    """
+
+    latitude_deg: Annotated[float, Meta(ge=-85, le=85)]
+    longitude_deg: Annotated[float, Meta(ge=-180, le=180)]
+    altitude_amsl_m: Annotated[float, Meta(ge=-500, le=9000)]
 
     def as_tuple(self) -> Vector3:
         """Latitude [deg], longitude [deg], altitude [m]."""
@@ -107,18 +105,19 @@ class GeodeticOrigin(Section, frozen=True):
 
 
 class FormationMember(Section, frozen=True):
-    """A vehicle of the fleet with its slot."""
+    """A vehicle of the fleet with its slot.
+
+    role: role at the start; at least one vehicle is `leader`
+    slot_enu_m: d_i0 of eq. 12, the offset of the slot from the RFT
+    may_lead: `true`: a follower that can be made leader; its vehicle file then holds the reference
+    address: where the agent of the vehicle listens in the network of the fleet, like `192.168.1.11:7447`
+    """
 
     id: VehicleId
-    role: Annotated[Role, about("role at the start; at least one vehicle is `leader`")]
-    slot_enu_m: Annotated[PositionM, about("d_i0 of eq. 12, the offset of the slot from the RFT")]
-    may_lead: Annotated[
-        bool, about("`true`: a follower that can be made leader; its vehicle file then holds the reference")
-    ] = False
-    address: Annotated[
-        NetworkAddress | None,
-        about("where the agent of the vehicle listens in the network of the fleet, like `192.168.1.11:7447`"),
-    ] = None
+    role: Role
+    slot_enu_m: PositionM
+    may_lead: bool = False
+    address: NetworkAddress | None = None
 
     @property
     def can_lead(self) -> bool:
@@ -127,82 +126,78 @@ class FormationMember(Section, frozen=True):
 
 
 class RangeNeighbours(Section, frozen=True, tag_field="kind", tag="range"):
-    """Neighbours by distance."""
+    """Neighbours by distance.
 
-    range_m: Annotated[float, about("a vehicle within this distance becomes a neighbour", gt=0, le=10_000)]
-    hysteresis_m: Annotated[
-        float,
-        about("a neighbour stays one until it is this much farther away than the range", ge=0, le=1_000),
-    ] = 0.0
+    range_m: a vehicle within this distance becomes a neighbour
+    hysteresis_m: a neighbour stays one until it is this much farther away than the range
+    """
+
+    range_m: Annotated[float, Meta(gt=0, le=10_000)]
+    hysteresis_m: Annotated[float, Meta(ge=0, le=1_000)] = 0.0
 
 
 class EdgeNeighbours(Section, frozen=True, tag_field="kind", tag="edges"):
-    """Neighbours by a fixed list."""
+    """Neighbours by a fixed list.
 
-    edges: Annotated[
-        tuple[tuple[VehicleId, VehicleId], ...],
-        about("pairs of vehicle ids that are neighbours of each other, like `[[1, 2], [2, 3]]`"),
-    ]
+    edges: pairs of vehicle ids that are neighbours of each other, like `[[1, 2], [2, 3]]`
+    """
+
+    edges: tuple[tuple[VehicleId, VehicleId], ...]
 
 
 class PeerLimits(Section, frozen=True):
-    """Limits that received peer states must meet."""
+    """Limits that received peer states must meet.
 
-    max_age_s: Annotated[float, about("an older peer state is not used", gt=0.02, le=5)] = 0.3
-    leader_beacon_max_age_s: Annotated[
-        float, about("without a newer leader beacon for this time the leader is lost", gt=0.02, le=10)
-    ] = 0.25  # two hops on it is missed within 0.3 s
-    full_rate_up_to: Annotated[
-        int,
-        about(
-            "in a fleet of up to so many vehicles each receives all others at 50 Hz; in a larger one, those far"
-            " away in formation at 5 Hz",
-            ge=1,
-            le=250,
-        ),
-    ] = 8
-    max_speed_m_s: Annotated[
-        float, about("a peer state with a larger speed is rejected; also limits references", gt=0, le=100)
-    ] = 25.0
+    max_age_s: an older peer state is not used
+    leader_beacon_max_age_s: without a newer leader beacon for this time the leader is lost
+    full_rate_up_to: in a fleet of up to so many vehicles each receives all others at 50 Hz; in a larger one, those far
+        away in formation at 5 Hz
+    max_speed_m_s: a peer state with a larger speed is rejected; also limits references
+    """
+
+    max_age_s: Annotated[float, Meta(gt=0.02, le=5)] = 0.3
+    leader_beacon_max_age_s: Annotated[float, Meta(gt=0.02, le=10)] = 0.25  # two hops on it is missed within 0.3 s
+    full_rate_up_to: Annotated[int, Meta(ge=1, le=250)] = 8
+    max_speed_m_s: Annotated[float, Meta(gt=0, le=100)] = 25.0
 
 
 class Envelope(Section, frozen=True):
-    """Limits of speed, limits on every setpoint, and the fence: a box in the fleet frame, less what is outside a polygon."""
+    """Limits of speed, limits on every setpoint, and the fence: a box in the fleet frame, less what is outside a polygon.
 
-    max_speed_m_s: Annotated[
-        float, about("largest horizontal speed of a vehicle; also limits references", ge=0.5, le=50)
-    ] = 12.0  # MPC_XY_VEL_MAX
-    max_climb_m_s: Annotated[float, about("largest climb rate", ge=0.5, le=20)] = 3.0  # MPC_Z_VEL_MAX_UP
-    max_descent_m_s: Annotated[float, about("largest descent rate", ge=0.5, le=20)] = 2.0
-    max_tilt_deg: Annotated[float, about("largest commanded tilt", gt=0, le=45)] = 25.0
-    max_tilt_rate_deg_s: Annotated[float, about("largest change of the commanded tilt per second", gt=0, le=1000)] = (
-        120.0  # 2.4 degrees from one setpoint to the next
-    )
-    min_thrust_ratio: Annotated[float, about("smallest thrust, as a share of hover thrust", gt=0, lt=1)] = 0.3
-    max_thrust_ratio: Annotated[float, about("largest thrust, as a multiple of hover thrust", gt=1, le=4)] = 1.6
-    max_thrust_rate_1_s: Annotated[
-        float, about("largest change of the thrust, in hover thrusts per second", gt=0, le=100)
-    ] = 10.0
-    fence_min_enu_m: Annotated[PositionM, about("lowest x, y, z of the fence; z is its floor")] = (
+    max_speed_m_s: largest horizontal speed of a vehicle; also limits references
+    max_climb_m_s: largest climb rate
+    max_descent_m_s: largest descent rate
+    max_tilt_deg: largest commanded tilt
+    max_tilt_rate_deg_s: largest change of the commanded tilt per second
+    min_thrust_ratio: smallest thrust, as a share of hover thrust
+    max_thrust_ratio: largest thrust, as a multiple of hover thrust
+    max_thrust_rate_1_s: largest change of the thrust, in hover thrusts per second
+    fence_min_enu_m: lowest x, y, z of the fence; z is its floor
+    fence_max_enu_m: highest x, y, z of the fence; z is its ceiling
+    fence_corners_enu_m: corners x, y of a polygon, in order: the part of the box inside it is the fence; may be concave
+    clearance_m: distance that vehicles keep from the fence and from obstacles
+    """
+
+    max_speed_m_s: Annotated[float, Meta(ge=0.5, le=50)] = 12.0  # MPC_XY_VEL_MAX
+    max_climb_m_s: Annotated[float, Meta(ge=0.5, le=20)] = 3.0  # MPC_Z_VEL_MAX_UP
+    max_descent_m_s: Annotated[float, Meta(ge=0.5, le=20)] = 2.0
+    max_tilt_deg: Annotated[float, Meta(gt=0, le=45)] = 25.0
+    max_tilt_rate_deg_s: Annotated[float, Meta(gt=0, le=1000)] = 120.0  # 2.4 degrees from one setpoint to the next
+    min_thrust_ratio: Annotated[float, Meta(gt=0, lt=1)] = 0.3
+    max_thrust_ratio: Annotated[float, Meta(gt=1, le=4)] = 1.6
+    max_thrust_rate_1_s: Annotated[float, Meta(gt=0, le=100)] = 10.0
+    fence_min_enu_m: PositionM = (
         -100.0,
         -100.0,
         -5.0,
     )
-    fence_max_enu_m: Annotated[PositionM, about("highest x, y, z of the fence; z is its ceiling")] = (
+    fence_max_enu_m: PositionM = (
         100.0,
         100.0,
         50.0,
     )
-    fence_corners_enu_m: Annotated[
-        tuple[PointM, ...],
-        about(
-            "corners x, y of a polygon, in order: the part of the box inside it is the fence; may be concave",
-            max_length=100,
-        ),
-    ] = ()
-    clearance_m: Annotated[
-        float, about("distance that vehicles keep from the fence and from obstacles", ge=0, le=100)
-    ] = 0.5
+    fence_corners_enu_m: Annotated[tuple[PointM, ...], Meta(max_length=100)] = ()
+    clearance_m: Annotated[float, Meta(ge=0, le=100)] = 0.5
 
 
 Hour = Annotated[float, Meta(gt=0, le=3600)]  # a time in seconds
@@ -210,92 +205,54 @@ Charge = Annotated[float, Meta(gt=0, le=90)]
 
 
 class FleetSettings(Section, frozen=True, kw_only=True):
-    """Settings of a fleet beside its vehicles and their neighbours."""
+    """Settings of a fleet beside its vehicles and their neighbours.
 
-    altitude_source: Annotated[
-        Literal["origin", "takeoff"],
-        about(
-            "zero of z: `origin`, the altitude of the origin; `takeoff`, the altitude where each vehicle was"
-            " armed, for fleets that start from level ground"
-        ),
-    ] = "origin"
-    ground_spread_m: Annotated[
-        float,
-        about("largest difference in altitude on the ground with which vehicles take off", gt=0, le=1000),
-    ] = 1.0
+    altitude_source: zero of z: `origin`, the altitude of the origin; `takeoff`, the altitude where each vehicle was
+        armed, for fleets that start from level ground
+    ground_spread_m: largest difference in altitude on the ground with which vehicles take off
+    separation_m: smallest distance between vehicles at take-off and between slots, also during a formation change
+    slot_speed_m_s: largest speed of a slot in a formation change and in a turn
+    hand_over_speed_m_s: largest speed added while the fleet changes from one reference to another
+    hand_over_acceleration_m_s2: largest acceleration added while the fleet changes to another reference
+    formation_heading: x axis of the slots: `fixed`, always east; `course`, the direction in which the RFT moves
+    takeoff_height_m: height of the take-off above the ground
+    successors: vehicles that may lead; the first of them in formation becomes leader when the leader is lost
+    land_after_s: time in hold without a leader after which a vehicle lands; without a value it holds
+    when_one_leaves: `keep_gap`: the slot of a vehicle that left stays free; `close_up`: the others fill it, which needs
+        edges that stay connected without any one vehicle
+    leave_below_percent: a vehicle whose battery stays below this charge leaves the formation and lands
+    low_battery_action: what follows `leave_below_percent`; `return` becomes `land` where the way home is not free
+    land_below_percent: a vehicle whose battery stays below this charge lands, also from a commanded hold
+    leader_holds_after_s: time after which a leader in formation that receives no other vehicle goes into hold
+    transport: protocol between the addresses; with identities `tcp` is TLS over TCP; `quic` needs identities
+    multicast: group and port, like `239.255.77.1:7446`: states of the vehicles as UDP multicast, for radio links that
+        lose packets; with identities each datagram is authenticated
+    security: `none`: agents without an identity may use a network; all who reach it can command the fleet
+    obstacles: static obstacles, which all vehicles avoid
+    """
+
+    altitude_source: Literal["origin", "takeoff"] = "origin"
+    ground_spread_m: Annotated[float, Meta(gt=0, le=1000)] = 1.0
     law: Law = Law()
-    separation_m: Annotated[
-        float,
-        about(
-            "smallest distance between vehicles at take-off and between slots, also during a formation change",
-            gt=0,
-            le=1000,
-        ),
-    ] = 1.0
-    slot_speed_m_s: Annotated[
-        float, about("largest speed of a slot in a formation change and in a turn", gt=0, le=50)
-    ] = 1.0
-    hand_over_speed_m_s: Annotated[
-        float,
-        about("largest speed added while the fleet changes from one reference to another", gt=0, le=50),
-    ] = 2.0
-    hand_over_acceleration_m_s2: Annotated[
-        float, about("largest acceleration added while the fleet changes to another reference", gt=0, le=20)
-    ] = 1.0
-    formation_heading: Annotated[
-        Literal["fixed", "course"],
-        about("x axis of the slots: `fixed`, always east; `course`, the direction in which the RFT moves"),
-    ] = "fixed"
-    takeoff_height_m: Annotated[float, about("height of the take-off above the ground", ge=0.5, le=120)] = 2.5
-    successors: Annotated[
-        tuple[VehicleId, ...],
-        about("vehicles that may lead; the first of them in formation becomes leader when the leader is lost"),
-    ] = ()
-    land_after_s: Annotated[
-        Hour | None,
-        about("time in hold without a leader after which a vehicle lands; without a value it holds"),
-    ] = None
-    when_one_leaves: Annotated[
-        Literal["keep_gap", "close_up"],
-        about(
-            "`keep_gap`: the slot of a vehicle that left stays free; `close_up`: the others fill it, which needs"
-            " edges that stay connected without any one vehicle"
-        ),
-    ] = "keep_gap"
-    leave_below_percent: Annotated[
-        Charge | None, about("a vehicle whose battery stays below this charge leaves the formation and lands")
-    ] = None
-    low_battery_action: Annotated[
-        Literal["hold", "return", "land"],
-        about("what follows `leave_below_percent`; `return` becomes `land` where the way home is not free"),
-    ] = "land"
-    land_below_percent: Annotated[
-        Charge | None, about("a vehicle whose battery stays below this charge lands, also from a commanded hold")
-    ] = None
-    leader_holds_after_s: Annotated[
-        float,
-        about("time after which a leader in formation that receives no other vehicle goes into hold", gt=0, le=3600),
-    ] = 5.0
-    transport: Annotated[
-        Literal["tcp", "quic"],
-        about("protocol between the addresses; with identities `tcp` is TLS over TCP; `quic` needs identities"),
-    ] = "tcp"
-    multicast: Annotated[
-        NetworkAddress | None,
-        about(
-            "group and port, like `239.255.77.1:7446`: states of the vehicles as UDP multicast, for radio links"
-            " that lose packets; with identities each datagram is authenticated"
-        ),
-    ] = None
-    security: Annotated[
-        Literal["none"] | None,
-        about("`none`: agents without an identity may use a network; all who reach it can command the fleet"),
-    ] = None
+    separation_m: Annotated[float, Meta(gt=0, le=1000)] = 1.0
+    slot_speed_m_s: Annotated[float, Meta(gt=0, le=50)] = 1.0
+    hand_over_speed_m_s: Annotated[float, Meta(gt=0, le=50)] = 2.0
+    hand_over_acceleration_m_s2: Annotated[float, Meta(gt=0, le=20)] = 1.0
+    formation_heading: Literal["fixed", "course"] = "fixed"
+    takeoff_height_m: Annotated[float, Meta(ge=0.5, le=120)] = 2.5
+    successors: tuple[VehicleId, ...] = ()
+    land_after_s: Hour | None = None
+    when_one_leaves: Literal["keep_gap", "close_up"] = "keep_gap"
+    leave_below_percent: Charge | None = None
+    low_battery_action: Literal["hold", "return", "land"] = "land"
+    land_below_percent: Charge | None = None
+    leader_holds_after_s: Annotated[float, Meta(gt=0, le=3600)] = 5.0
+    transport: Literal["tcp", "quic"] = "tcp"
+    multicast: NetworkAddress | None = None
+    security: Literal["none"] | None = None
     peers: PeerLimits = PeerLimits()
     envelope: Envelope = Envelope()
-    obstacles: Annotated[
-        tuple[ObstacleSection, ...], about("static obstacles, which all vehicles avoid", max_length=100)
-    ] = ()
+    obstacles: Annotated[tuple[ObstacleSection, ...], Meta(max_length=100)] = ()
 
     @property
     def airspace(self) -> Airspace:
@@ -311,15 +268,18 @@ class FleetSettings(Section, frozen=True, kw_only=True):
 
 
 class FleetConfig(FleetSettings, frozen=True, kw_only=True):
-    """Settings that all vehicles of a fleet share. Every vehicle needs the same file."""
+    """Settings that all vehicles of a fleet share. Every vehicle needs the same file.
 
-    name: Annotated[Name, about("name of the fleet on the network (a part of its Zenoh keys)")]
-    origin: Annotated[
-        GeodeticOrigin | Literal["indoor"],
-        about("zero of the fleet frame; `indoor` where one motion-capture system gives all vehicles one frame"),
-    ]
-    vehicles: Annotated[tuple[FormationMember, ...], about("the vehicles with their roles and slots")]
-    neighbours: Annotated[EdgeNeighbours | RangeNeighbours, about("the neighbours of each vehicle")]
+    name: name of the fleet on the network (a part of its Zenoh keys)
+    origin: zero of the fleet frame; `indoor` where one motion-capture system gives all vehicles one frame
+    vehicles: the vehicles with their roles and slots
+    neighbours: the neighbours of each vehicle
+    """
+
+    name: Name
+    origin: GeodeticOrigin | Literal["indoor"]
+    vehicles: tuple[FormationMember, ...]
+    neighbours: EdgeNeighbours | RangeNeighbours
 
     @property
     def has_distant_peers(self) -> bool:

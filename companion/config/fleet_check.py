@@ -8,14 +8,13 @@ from ipaddress import IPv4Address
 from itertools import combinations
 from math import dist, hypot, inf
 from pathlib import Path
-from typing import Annotated
 
 from msgspec.structs import replace
 
 from companion.config.file import convert, read_as, refuse
 from companion.config.fleet import EdgeNeighbours, FleetConfig, law_problems
 from companion.config.validation import INVALID, Problem, each, unless_invalid
-from companion.config.values import PositionM, Section, VehicleId, about
+from companion.config.values import PositionM, Section, VehicleId
 from companion.geometry.airspace import area_m2, crossing_sides
 from companion.geometry.formations import ROUNDING_M, to_separation_metric
 from companion.types.flight import Role
@@ -235,9 +234,12 @@ def _list_ids(ids: list[int]) -> str:
 
 
 class SlotsSection(Section, frozen=True):
-    """The slot of every vehicle of the fleet."""
+    """The slot of every vehicle of the fleet.
 
-    slots_enu_m: Annotated[dict[VehicleId, PositionM], about("d_i0 of eq. 12 by vehicle id")]
+    slots_enu_m: d_i0 of eq. 12 by vehicle id
+    """
+
+    slots_enu_m: dict[VehicleId, PositionM]
 
 
 def load_slots(path: Path, fleet: FleetConfig) -> dict[int, Vector3]:

@@ -41,47 +41,44 @@ VehicleCount = Annotated[int, Meta(ge=1, le=250)]
 
 
 class NamedFormation(Section, frozen=True, kw_only=True):
-    """Slots by the name of a shape."""
+    """Slots by the name of a shape.
 
-    shape: Annotated[ShapeName, about("name of the shape")]
+    shape: name of the shape
+    """
+
+    shape: ShapeName
     spacing_m: SpacingM
     heading_deg: HeadingDeg = 0.0
 
 
 class ScenarioFleet(FleetSettings, frozen=True, kw_only=True):
-    """The fleet of a scenario: a fleet file's settings, where name, origin, slots and neighbours have defaults."""
+    """The fleet of a scenario: a fleet file's settings, where name, origin, slots and neighbours have defaults.
 
-    name: Annotated[Name, about("name of the fleet on the network")] = "simulation"
-    origin: Annotated[
-        GeodeticOrigin | Literal["indoor"],
-        about("zero of the fleet frame; the default is 47.397742 N, 8.545594 E, 488 m"),
-    ] = DEFAULT_ORIGIN
-    vehicles: Annotated[
-        tuple[FormationMember, ...] | VehicleCount,
-        about("the vehicles with their roles and slots, or only their number, with `formation`"),
-    ]
-    formation: Annotated[
-        NamedFormation | None,
-        about("the slots, if `vehicles` is a number; the ids begin at 1, and vehicle 1 is the leader"),
-    ] = None
-    neighbours: Annotated[
-        EdgeNeighbours | RangeNeighbours | None,
-        about(
-            "the neighbours of each vehicle; the default is by range: 1.5 times the shortest range that"
-            " connects all slots, with 0.25 times that range as hysteresis"
-        ),
-    ] = None
+    name: name of the fleet on the network
+    origin: zero of the fleet frame; the default is 47.397742 N, 8.545594 E, 488 m
+    vehicles: the vehicles with their roles and slots, or only their number, with `formation`
+    formation: the slots, if `vehicles` is a number; the ids begin at 1, and vehicle 1 is the leader
+    neighbours: the neighbours of each vehicle; the default is by range: 1.5 times the shortest range that connects all
+        slots, with 0.25 times that range as hysteresis
+    """
+
+    name: Name = "simulation"
+    origin: GeodeticOrigin | Literal["indoor"] = DEFAULT_ORIGIN
+    vehicles: tuple[FormationMember, ...] | VehicleCount
+    formation: NamedFormation | None = None
+    neighbours: EdgeNeighbours | RangeNeighbours | None = None
 
 
 class PlannedFlight(Section, frozen=True, kw_only=True):
-    """The fleet of a scenario before the flight."""
+    """The fleet of a scenario before the flight.
 
-    description: Annotated[str, about("one sentence about the flight")] = ""
+    description: one sentence about the flight
+    starts_enu_m: start of each vehicle by id; the default is the ground below its slot at the reference's start
+    """
+
+    description: str = ""
     fleet: ScenarioFleet
-    starts_enu_m: Annotated[
-        dict[VehicleId, PositionM] | None,
-        about("start of each vehicle by id; the default is the ground below its slot at the reference's start"),
-    ] = None
+    starts_enu_m: dict[VehicleId, PositionM] | None = None
 
 
 def fleet_of(planned: ScenarioFleet) -> FleetConfig:

@@ -138,13 +138,17 @@ class BaseReference(Section, frozen=True):
 
 
 class LappingReference(BaseReference, frozen=True, kw_only=True):
-    """One that laps."""
+    """One that laps.
+
+    period_s: time of a lap at full pace
+    ramp_s: time from rest to full pace
+    """
 
     LAP_SAMPLES: ClassVar[int]  # of LAP_SAMPLES, as far as pace and turns differ
     PLACE = "centre"
 
-    period_s: Annotated[float, about("time of a lap at full pace", ge=1, le=3600)]
-    ramp_s: Annotated[float, about("time from rest to full pace", ge=0.1, le=60)] = 5.0
+    period_s: Annotated[float, Meta(ge=1, le=3600)]
+    ramp_s: Annotated[float, Meta(ge=0.1, le=60)] = 5.0
 
     def lap_s(self) -> list[float]:
         """Times of a lap at full pace, as far as pace and turns differ."""
@@ -186,9 +190,12 @@ def _pace_of_laps(reference: LappingReference) -> tuple[float, float]:
 
 
 class LimitedReference(BaseReference, frozen=True, kw_only=True):
-    """One within limits; the kind declares its `max_speed_m_s`."""
+    """One within limits; the kind declares its `max_speed_m_s`.
 
-    max_acceleration_m_s2: Annotated[float, about("largest acceleration", ge=0.01, le=50)] = 1.0
+    max_acceleration_m_s2: largest acceleration
+    """
+
+    max_acceleration_m_s2: Annotated[float, Meta(ge=0.01, le=50)] = 1.0
 
     @property
     def max_speed_m_s(self) -> float:
@@ -220,20 +227,27 @@ class LimitedReference(BaseReference, frozen=True, kw_only=True):
 
 
 class PointReference(BaseReference, frozen=True, tag_field="kind", tag="point"):
-    """A fixed point: r = point, r' = 0."""
+    """A fixed point: r = point, r' = 0.
+
+    point_enu_m: the point
+    """
 
     TITLE, POSITION, MOVES = "Point", "point_enu_m", False
 
-    point_enu_m: Annotated[PositionM, about("the point")]
+    point_enu_m: PositionM
 
 
 class WaypointsReference(LimitedReference, frozen=True, tag_field="kind", tag="waypoints"):
-    """Straight lines from point to point, with a stop at each. It starts at the first point and ends at the last."""
+    """Straight lines from point to point, with a stop at each. It starts at the first point and ends at the last.
+
+    points_enu_m: the points in order
+    wait_s: time of the stop at each point
+    """
 
     TITLE, POSITION, MOST_POSITIONS = "Waypoints", "points_enu_m", 200
 
-    points_enu_m: Annotated[tuple[PositionM, ...], about("the points in order", min_length=1, max_length=200)]
-    wait_s: Annotated[float, about("time of the stop at each point", ge=0, le=3600)] = 0.0
+    points_enu_m: Annotated[tuple[PositionM, ...], Meta(min_length=1, max_length=200)]
+    wait_s: Annotated[float, Meta(ge=0, le=3600)] = 0.0
     max_speed_m_s: Speed = 2.0
 
     @property
@@ -290,13 +304,18 @@ class WaypointsReference(LimitedReference, frozen=True, tag_field="kind", tag="w
 
 
 class CircleReference(LappingReference, frozen=True, tag_field="kind", tag="circle"):
-    """A level circle, counterclockwise, from rest at its easternmost point."""
+    """A level circle, counterclockwise, from rest at its easternmost point.
+
+    centre_enu_m: centre of the circle
+    radius_m: radius
+    clockwise: `true`: clockwise, seen from above
+    """
 
     TITLE, POSITION, LAP_SAMPLES = "Circle", "centre_enu_m", 1
 
-    centre_enu_m: Annotated[PositionM, about("centre of the circle")]
-    radius_m: Annotated[Size, about("radius")]
-    clockwise: Annotated[bool, about("`true`: clockwise, seen from above")] = False
+    centre_enu_m: PositionM
+    radius_m: Size
+    clockwise: bool = False
 
     @property
     def start_enu_m(self) -> Vector3:
@@ -317,13 +336,18 @@ class CircleReference(LappingReference, frozen=True, tag_field="kind", tag="circ
 
 
 class Figure8Reference(LappingReference, frozen=True, tag_field="kind", tag="figure_8"):
-    """A level figure 8 along x, from rest at its centre."""
+    """A level figure 8 along x, from rest at its centre.
+
+    centre_enu_m: centre of the 8, where it starts
+    width_m: size of the whole 8 along x
+    height_m: size of the whole 8 along y
+    """
 
     TITLE, POSITION, LAP_SAMPLES = "Figure 8", "centre_enu_m", LAP_SAMPLES // 2
 
-    centre_enu_m: Annotated[PositionM, about("centre of the 8, where it starts")]
-    width_m: Annotated[Size, about("size of the whole 8 along x")]
-    height_m: Annotated[Size, about("size of the whole 8 along y")]
+    centre_enu_m: PositionM
+    width_m: Size
+    height_m: Size
 
     def corners_enu_m(self) -> tuple[Vector3, Vector3]:
         return _box_about(self.centre_enu_m, self.width_m / 2.0, self.height_m / 2.0)
@@ -345,18 +369,23 @@ class Figure8Reference(LappingReference, frozen=True, tag_field="kind", tag="fig
 
 
 class TargetReference(LimitedReference, frozen=True, tag_field="kind", tag="target"):
-    """Follows a moving target, which publishes on formation/FLEET/target/NAME. It stays inside the fence by itself."""
+    """Follows a moving target, which publishes on formation/FLEET/target/NAME. It stays inside the fence by itself.
+
+    start_enu_m: start, where it waits for the first message of the target
+    name: name of the target, NAME of its key
+    offset_enu_m: offset of the RFT from the target
+    follows_altitude: `true`: z follows the target; `false`: z stays that of the start
+    max_age_s: without a newer message for this time the RFT comes to rest
+    """
 
     TITLE, POSITION, PLACE, AWAITED = "Follow a target", "start_enu_m", "start", True
 
-    start_enu_m: Annotated[PositionM, about("start, where it waits for the first message of the target")]
-    name: Annotated[Name, about("name of the target, NAME of its key")] = "main"
-    offset_enu_m: Annotated[PositionM, about("offset of the RFT from the target")] = ZERO3
-    follows_altitude: Annotated[bool, about("`true`: z follows the target; `false`: z stays that of the start")] = False
+    start_enu_m: PositionM
+    name: Name = "main"
+    offset_enu_m: PositionM = ZERO3
+    follows_altitude: bool = False
     max_speed_m_s: Speed = 3.0
-    max_age_s: Annotated[
-        float, about("without a newer message for this time the RFT comes to rest", gt=0.05, le=10)
-    ] = 1.0
+    max_age_s: Annotated[float, Meta(gt=0.05, le=10)] = 1.0
 
     def motions(self, slots_turn: bool) -> list[list[Harmonic]]:
         """It may move at any rate within its limits, in any direction."""
@@ -375,9 +404,12 @@ KINDS: dict[str, type[BaseReference]] = {str(kind.__struct_config__.tag): kind f
 
 
 class ReferenceSection(Section, frozen=True):
-    """A file, command line or command with a reference and nothing else."""
+    """A file, command line or command with a reference and nothing else.
 
-    reference: Annotated[Reference, about("the trajectory of the formation (RFT)")]
+    reference: the trajectory of the formation (RFT)
+    """
+
+    reference: Reference
 
 
 def load_reference(path: Path) -> Reference:

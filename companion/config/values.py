@@ -1,7 +1,7 @@
 """Types that sections of our files share: no unknown keys, and numbers with bounds and units.
 
-A description is written once, in the type: validation and the configuration reference (docs/generate) both use it. The unit
-is in the name of the field. `about` is the description of a key, `written` of a text.
+What a key means is written once, in the docstring of its section, from which the configuration reference is made
+(docs/generate). The unit is in the name of the field. `about` describes a type that several sections use, `written` a text.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def written(pattern: str, words: str) -> Meta:
 
 
 def about(description: str, **bounds: Any) -> Meta:
-    """What a key means, for the configuration reference, with the bounds of its values (those of `msgspec.Meta`)."""
+    """What a key of this type means, for the configuration reference, with the bounds of its values (`msgspec.Meta`)."""
     return Meta(description=description, **bounds)
 
 
@@ -54,12 +54,18 @@ PointM = tuple[Coordinate, Coordinate]
 
 
 class CylinderObstacle(Section, frozen=True, tag_field="kind", tag="cylinder"):
-    """An upright cylinder: a tree, a mast, a silo."""
+    """An upright cylinder: a tree, a mast, a silo.
 
-    centre_enu_m: Annotated[PointM, about("x, y of the axis")]
-    radius_m: Annotated[float, about("radius", gt=0, le=1000)]
-    bottom_m: Annotated[Coordinate, about("z of the lower end; without a value far below the ground")] = LOWEST_M
-    top_m: Annotated[Coordinate, about("z of the upper end; without a value above all vehicles")] = HIGHEST_M
+    centre_enu_m: x, y of the axis
+    radius_m: radius
+    bottom_m: z of the lower end; without a value far below the ground
+    top_m: z of the upper end; without a value above all vehicles
+    """
+
+    centre_enu_m: PointM
+    radius_m: Annotated[float, Meta(gt=0, le=1000)]
+    bottom_m: Coordinate = LOWEST_M
+    top_m: Coordinate = HIGHEST_M
 
     @property
     def body(self) -> Obstacle:
@@ -72,10 +78,14 @@ class CylinderObstacle(Section, frozen=True, tag_field="kind", tag="cylinder"):
 
 
 class BoxObstacle(Section, frozen=True, tag_field="kind", tag="box"):
-    """A box along the axes of the fleet frame: a building, a wall."""
+    """A box along the axes of the fleet frame: a building, a wall.
 
-    min_enu_m: Annotated[PositionM, about("lowest x, y, z")]
-    max_enu_m: Annotated[PositionM, about("highest x, y, z")]
+    min_enu_m: lowest x, y, z
+    max_enu_m: highest x, y, z
+    """
+
+    min_enu_m: PositionM
+    max_enu_m: PositionM
 
     @property
     def body(self) -> Obstacle:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from msgspec import Meta
+
 from companion.config.file import ConfigError, convert, read_as
 from companion.config.fleet import FleetConfig, FormationMember
 from companion.config.fleet_check import load_fleet
@@ -29,20 +31,25 @@ STRANGERS = (
 
 
 class ZenohEndpoints(Section, frozen=True):
-    """Endpoints of the vehicle's Zenoh session, like `tcp/192.168.1.11:7447`. Multicast scouting is off."""
+    """Endpoints of the vehicle's Zenoh session, like `tcp/192.168.1.11:7447`. Multicast scouting is off.
 
-    listen: Annotated[tuple[str, ...], about("endpoints where the agent accepts connections")] = ()
-    connect: Annotated[tuple[str, ...], about("endpoints of other vehicles, tried until they answer")] = ()
+    listen: endpoints where the agent accepts connections
+    connect: endpoints of other vehicles, tried until they answer
+    """
+
+    listen: tuple[str, ...] = ()
+    connect: tuple[str, ...] = ()
 
 
 class DatagramEndpoints(Section, frozen=True):
-    """Peer states as UDP datagrams instead of over Zenoh, for radio links that lose packets; the same in all vehicles."""
+    """Peer states as UDP datagrams instead of over Zenoh, for radio links that lose packets; the same in all vehicles.
 
-    listen: Annotated[NetworkAddress, about("address and port where the agent receives, like `0.0.0.0:7447`")]
-    send_to: Annotated[
-        tuple[NetworkAddress, ...],
-        about("where the other vehicles listen; one broadcast address reaches them all", min_length=1),
-    ]
+    listen: address and port where the agent receives, like `0.0.0.0:7447`
+    send_to: where the other vehicles listen; one broadcast address reaches them all
+    """
+
+    listen: NetworkAddress
+    send_to: Annotated[tuple[NetworkAddress, ...], Meta(min_length=1)]
 
 
 def endpoints_of(fleet: FleetConfig, vehicle_id: int, secured: bool) -> ZenohEndpoints:
@@ -114,34 +121,34 @@ CredentialName = Annotated[str, written("^[A-Za-z0-9_.-]+$", "a name of letters,
 
 
 class Signing(Section, frozen=True):
-    """MAVLink 2 signing between agent and autopilot, which needs the same key: one of `key_file` and `credential`."""
+    """MAVLink 2 signing between agent and autopilot, which needs the same key: one of `key_file` and `credential`.
 
-    key_file: Annotated[str | None, about("file of the key; the path is relative to the vehicle file")] = None
-    credential: Annotated[
-        CredentialName | None, about("name of the systemd credential with the key (LoadCredential)")
-    ] = None
-    link_id: Annotated[int, about("link id of the signed packets", ge=0, le=255)] = 0
+    key_file: file of the key; the path is relative to the vehicle file
+    credential: name of the systemd credential with the key (LoadCredential)
+    link_id: link id of the signed packets
+    """
+
+    key_file: str | None = None
+    credential: CredentialName | None = None
+    link_id: Annotated[int, Meta(ge=0, le=255)] = 0
 
 
 class RecordingSettings(Section, frozen=True):
-    """What the agent records of each flight, and how much of the disk that may use."""
+    """What the agent records of each flight, and how much of the disk that may use.
 
-    enabled: Annotated[bool, about("`false`: nothing is recorded")] = True
-    folder: Annotated[
-        Text | None,
-        about(
-            "folder of the recordings, relative to the vehicle file; without it `recordings` in the state"
-            " folder of the systemd unit, and without a unit nothing is recorded"
-        ),
-    ] = None
-    keep_mb: Annotated[
-        int,
-        about("what all files in the folder may use; the oldest flights are removed first", ge=2, le=1_000_000),
-    ] = 2000
-    part_mb: Annotated[int, about("size at which another file is begun", ge=1, le=100_000)] = 50
-    tlog: Annotated[
-        bool, about("`true`: also a `.tlog` of the raw MAVLink in both directions, some 0.8 MB a minute")
-    ] = False
+    enabled: `false`: nothing is recorded
+    folder: folder of the recordings, relative to the vehicle file; without it `recordings` in the state folder of the
+        systemd unit, and without a unit nothing is recorded
+    keep_mb: what all files in the folder may use; the oldest flights are removed first
+    part_mb: size at which another file is begun
+    tlog: `true`: also a `.tlog` of the raw MAVLink in both directions, some 0.8 MB a minute
+    """
+
+    enabled: bool = True
+    folder: Text | None = None
+    keep_mb: Annotated[int, Meta(ge=2, le=1_000_000)] = 2000
+    part_mb: Annotated[int, Meta(ge=1, le=100_000)] = 50
+    tlog: bool = False
 
 
 MAVLINK_FORMAT = "udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, like serial:/dev/ttyAMA0:921600"
@@ -155,58 +162,38 @@ MavlinkEndpoint = Annotated[
 
 
 class VehicleConfig(Section, frozen=True):
-    """Settings of one vehicle."""
+    """Settings of one vehicle.
+
+    fleet: path of the fleet file, relative to the vehicle file
+    hover_thrust_norm: initial hover thrust (PX4: MPC_THR_HOVER, ArduPilot: MOT_THST_HOVER); estimated in flight
+    drag_1_s: linear drag over mass, which damps the vehicle; a leader feeds it forward along its reference; 0.25 is
+        that of a small open quadrotor
+    autopilot: required autopilot; without a value the one of its HEARTBEAT
+    accept_uncontrolled_descent: `true`: formation also where the vehicle sinks when the setpoints end (PX4:
+        `COM_OBL_RC_ACT` 0 to 2), as a pilot stands by
+    identity: folder of the vehicle's certificate, made by `companion provision`; the path is relative to the vehicle
+        file
+    zenoh: instead of the addresses in the fleet file, for networks with translation
+    datagrams: instead of `multicast` of the fleet file: one address for each vehicle
+    reference: the trajectory of the formation (RFT): required for a vehicle that may lead, refused for others
+    ground_station: `udpout:HOST:PORT` to which the autopilot's MAVLink is forwarded
+    """
 
     id: VehicleId
-    fleet: Annotated[str, about("path of the fleet file, relative to the vehicle file")]
+    fleet: str
     mavlink: MavlinkEndpoint
-    hover_thrust_norm: Annotated[
-        HoverThrust,
-        about("initial hover thrust (PX4: MPC_THR_HOVER, ArduPilot: MOT_THST_HOVER); estimated in flight"),
-    ]
-    drag_1_s: Annotated[
-        Drag,
-        about(
-            "linear drag over mass, which damps the vehicle; a leader feeds it forward along its reference; 0.25 is"
-            " that of a small open quadrotor"
-        ),
-    ] = 0.25
-    autopilot: Annotated[
-        AutopilotKind | None, about("required autopilot; without a value the one of its HEARTBEAT")
-    ] = None
-    accept_uncontrolled_descent: Annotated[
-        bool,
-        about(
-            "`true`: formation also where the vehicle sinks when the setpoints end (PX4: `COM_OBL_RC_ACT` 0 to"
-            " 2), as a pilot stands by"
-        ),
-    ] = False
-    identity: Annotated[
-        Text | None,
-        about(
-            "folder of the vehicle's certificate, made by `companion provision`; the path is relative to the"
-            " vehicle file"
-        ),
-    ] = None
-    zenoh: Annotated[
-        ZenohEndpoints | None, about("instead of the addresses in the fleet file, for networks with translation")
-    ] = None
-    datagrams: Annotated[
-        DatagramEndpoints | None, about("instead of `multicast` of the fleet file: one address for each vehicle")
-    ] = None
-    reference: (
-        Annotated[
-            Reference,
-            about("the trajectory of the formation (RFT): required for a vehicle that may lead, refused for others"),
-        ]
-        | None
-    ) = None
+    hover_thrust_norm: HoverThrust
+    drag_1_s: Drag = 0.25
+    autopilot: AutopilotKind | None = None
+    accept_uncontrolled_descent: bool = False
+    identity: Text | None = None
+    zenoh: ZenohEndpoints | None = None
+    datagrams: DatagramEndpoints | None = None
+    reference: Reference | None = None
     signing: Signing | None = None
     recording: RecordingSettings = RecordingSettings()
     ground_station: Annotated[
-        str,
-        written("^(udpout:.+:[0-9]{1,9})?$", "udpout:HOST:PORT, like udpout:192.168.1.50:14550"),
-        about("`udpout:HOST:PORT` to which the autopilot's MAVLink is forwarded"),
+        str, written("^(udpout:.+:[0-9]{1,9})?$", "udpout:HOST:PORT, like udpout:192.168.1.50:14550")
     ] = ""
 
 

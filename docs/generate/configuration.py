@@ -18,7 +18,7 @@ from companion.config.fleet import FleetConfig, FleetSettings
 from companion.config.fleet_check import SlotsSection
 from companion.config.planned_flight import ScenarioFleet
 from companion.config.reference import Reference, ReferenceSection
-from companion.config.values import PositionM
+from companion.config.values import PositionM, Section
 from companion.config.vehicle import VehicleConfig
 from sitl.flight.external import ExternalFile
 from sitl.flight.scenario import ScenarioFile
@@ -51,6 +51,7 @@ UNITS = {  # by the end of a key, the longest first
     "_percent": "%", "percent": "%", "_norm": "0 to 1", "_m_s": "m/s", "_1_s": "1/s", "_deg": "deg", "_kg": "kg", "_m": "m",
     "_s": "s",
 }  # fmt: skip
+KEY = re.compile(r"^([a-z]\w*): ", re.MULTILINE)  # before what a docstring says of a key
 NUMBER_WORDS = {float: "number", int: "integer", str: "text", bool: "`true` or `false`"}
 
 
@@ -102,13 +103,15 @@ def _table(cls: type[Struct]) -> list[str]:
     keys = [
         info for info in fields(cls) if cls is not ScenarioFleet or info.name not in FleetSettings.__struct_fields__
     ]
-    rows = [_row(info) for info in sorted(keys, key=lambda info: not info.required)]
+    meanings = _meanings(cls)
+    rows = [_row(info, meanings.get(info.name, "")) for info in sorted(keys, key=lambda info: not info.required)]
     return ["| key | type | unit | bounds | default | meaning |", "|---|---|---|---|---|---|", *rows, ""]
 
 
-def _row(info: FieldInfo) -> str:
+def _row(info: FieldInfo, meaning: str) -> str:
     value = _value(info.type)
-    meaning = value.meaning or (_docstring(value.sections[0]).splitlines()[0].rstrip(".") if value.sections else "")
+    of_section = _docstring(value.sections[0]).splitlines()[0].rstrip(".") if value.sections else ""
+    meaning = meaning or value.meaning or of_section
     cells = (
         f"`{info.encode_name}`", " or ".join(value.names), _unit(info.encode_name), ", ".join(value.bounds),
         _default(info), meaning,
@@ -147,8 +150,8 @@ def _yaml(value: Any) -> str:
 def _value(type_: Any) -> Value:
     """What an annotation accepts; the outermost description is the one of the field."""
     origin, arguments = get_origin(type_), get_args(type_)
-    if type_ == Reference:
-        return Value(["[reference](#reference-file)"], sections=list(arguments))
+    if type_ in (Reference, Reference | None):
+        return Value(["[reference](#reference-file)"], sections=list(get_args(Reference)))
     if origin is Annotated:
         value = _value(arguments[0])
         for meta in arguments[1:]:
@@ -217,7 +220,24 @@ def _anchor(title: str) -> str:
 
 
 def _docstring(cls: type[Struct]) -> str:
-    return (inspect.getdoc(cls) or "").strip()
+    """What a section is for, without its keys."""
+    return KEY.split(_whole_docstring(cls), maxsplit=1)[0].strip()
+
+
+def _meanings(cls: type[Struct]) -> dict[str, str]:
+    """What each key means, from the docstrings of a section and its bases: lines like "radius_m: of the circle"."""
+    found: dict[str, str] = {}
+    for base in reversed(cls.__mro__):
+        if issubclass(base, Section):
+            _, *texts = KEY.split(_whole_docstring(base))
+            found |= {key: " ".join(text.split()) for key, text in zip(texts[::2], texts[1::2], strict=True)}
+    unknown = found.keys() - set(cls.__struct_fields__)
+    assert not unknown, f"{cls.__name__} describes {unknown}, which it does not have"
+    return found
+
+
+def _whole_docstring(cls: type[Struct]) -> str:
+    return inspect.cleandoc(vars(cls).get("__doc__") or "")
 
 
 if __name__ == "__main__":
