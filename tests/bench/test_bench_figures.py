@@ -11,7 +11,7 @@ from companion.recording.records import TimingRecord
 from companion.recording.writing import WritingAtOnce
 from companion.types.autopilot import AutopilotKind, PositionSample
 from companion.types.values import ZERO3
-from one_agent import recorder
+from recordings import recorder
 from tests.bench.batch import section as batch_section
 from tests.bench.control_loop import rate_of_slowest_hz
 from tests.bench.figures import AgentsUse, Row, Target, Window, cpu_percent, lateness_us, percentile, windows_of, within

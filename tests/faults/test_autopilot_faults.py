@@ -14,9 +14,9 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from fault_table import FaultRow
-from process_fleet import IDS, LEADER, PX4, FaultyFleet, demanded, faulty_fleet
+from process_fleet import IDS, LEADER, FaultyFleet, demanded, faulty_fleet
 from sitl.links.ports import LOOPBACK, ports_of
-from wire_autopilots import HoveringAutopilot
+from wire_autopilots import PX4, HoveringAutopilot
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240)]
 

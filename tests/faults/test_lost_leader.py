@@ -1,7 +1,5 @@
 """The agent of the leader is killed in formation: the followers detect it and hold, or follow a successor."""
 
-import os
-import signal
 import time
 from math import dist
 from pathlib import Path
@@ -9,15 +7,11 @@ from pathlib import Path
 import pytest
 
 from common import ROOT
-from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.notices import Code
-from process_fleet import Ground
-from processes import free_fleet_offset
-from sitl.flight.processes import FleetProcesses
+from process_fleet import fleet_in_formation
 from sitl.flight.scenario import load_scenario
-from sitl.links.ports import zenoh_endpoint
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(180)]
 
@@ -30,22 +24,15 @@ ALL = (1, *FOLLOWERS)
 
 def test_followers_hold_when_the_leader_dies(tmp_path: Path) -> None:
     scenario = load_scenario(SCENARIOS / "platoon.yaml", [READY_SOON])
-    port_offset = free_fleet_offset()
-    with FleetProcesses.start(scenario, tmp_path, port_offset) as fleet:
-        endpoints = [zenoh_endpoint(i, port_offset) for i in ALL]
-        with FleetSession("platoon", endpoints) as session:
-            ground = Ground(session)
-            ground.fly_to_formation(ALL)
-            ground.listen(2.0)
-            assert ground.phases(ALL) == {FlightPhase.FORMATION}
+    with fleet_in_formation(scenario, tmp_path) as fleet:
+        ground = fleet.ground
+        fleet.kill("agent 1")
+        ground.listen(3.0)
 
-            os.kill(fleet.pid_of("agent 1"), signal.SIGKILL)
-            ground.listen(3.0)
-
-            assert ground.phases(FOLLOWERS) == {FlightPhase.HOLD}, ground.newest
-            for follower in FOLLOWERS:
-                assert any(e.startswith(f"{follower}: {Code.LEADER_LOST}: formation -> release") for e in ground.events)
-            ground.order(CommandName.LAND, FlightPhase.OBSERVE, FOLLOWERS)
+        assert ground.phases(FOLLOWERS) == {FlightPhase.HOLD}, ground.newest
+        for follower in FOLLOWERS:
+            assert any(e.startswith(f"{follower}: {Code.LEADER_LOST}: formation -> release") for e in ground.events)
+        ground.order(CommandName.LAND, FlightPhase.OBSERVE, FOLLOWERS)
 
 
 def test_a_successor_becomes_leader_when_the_leader_dies_on_the_figure_8(tmp_path: Path) -> None:
@@ -53,38 +40,32 @@ def test_a_successor_becomes_leader_when_the_leader_dies_on_the_figure_8(tmp_pat
         SCENARIOS / "ring_figure_8.yaml",
         [READY_SOON, "fleet.successors=[2]", "fleet.law.name=cooperative", "fleet.land_after_s=20"],
     )
-    port_offset = free_fleet_offset()
-    with FleetProcesses.start(scenario, tmp_path, port_offset) as fleet:
-        endpoints = [zenoh_endpoint(i, port_offset) for i in ALL]
-        with FleetSession("ring", endpoints) as session:
-            ground = Ground(session)
-            ground.fly_to_formation(ALL)
-            ground.listen(AT_FULL_SPEED_S)
-            assert ground.newest[1].role is Role.LEADER
+    with fleet_in_formation(scenario, tmp_path) as fleet:
+        ground = fleet.ground
+        ground.listen(AT_FULL_SPEED_S)
+        assert ground.newest[1].role is Role.LEADER
 
-            ground.received.clear()
-            died_s = time.monotonic()
-            os.kill(fleet.pid_of("agent 1"), signal.SIGKILL)
-            ground.listen(4.0)
+        ground.received.clear()
+        died_s = time.monotonic()
+        fleet.kill("agent 1")
+        ground.listen(4.0)
 
-            left = [(at_s, status) for at_s, status in ground.received if status.vehicle_id in FOLLOWERS]
-            assert {status.phase for _, status in left} == {FlightPhase.FORMATION}
-            assert HealthFlag.LEADER_AWAITED in {flag for _, status in left for flag in status.flags}
-            for vehicle_id in FOLLOWERS:
-                own = [(at_s - died_s, status) for at_s, status in left if status.vehicle_id == vehicle_id]
-                missed_s = [at_s for at_s, status in own if status.leader_beacon is None]
-                led_s = [at_s for at_s, status in own if status.leader_beacon and status.leader_beacon.leader_id == 2]
-                print(
-                    f"vehicle {vehicle_id}: leader lost after {min(missed_s):.2f} s, follows 2 after {min(led_s):.2f} s"
-                )
-            assert [(ground.newest[i].role, ground.newest[i].epoch, ground.newest[i].prc) for i in FOLLOWERS] == [
-                (Role.LEADER, 1, 1),
-                (Role.FOLLOWER, 1, 2),
-                (Role.FOLLOWER, 1, 3),
-            ]
-            reference_enu_m = ground.newest[2].reference_enu_m
-            assert reference_enu_m is not None
-            for status in (ground.newest[i] for i in FOLLOWERS):
-                wanted = [r + d for r, d in zip(reference_enu_m, status.slot.position_enu_m, strict=True)]
-                assert dist(status.position_enu_m, wanted) < 0.5
-            ground.order(CommandName.LAND, FlightPhase.OBSERVE, FOLLOWERS)
+        left = [(at_s, status) for at_s, status in ground.received if status.vehicle_id in FOLLOWERS]
+        assert {status.phase for _, status in left} == {FlightPhase.FORMATION}
+        assert HealthFlag.LEADER_AWAITED in {flag for _, status in left for flag in status.flags}
+        for vehicle_id in FOLLOWERS:
+            own = [(at_s - died_s, status) for at_s, status in left if status.vehicle_id == vehicle_id]
+            missed_s = [at_s for at_s, status in own if status.leader_beacon is None]
+            led_s = [at_s for at_s, status in own if status.leader_beacon and status.leader_beacon.leader_id == 2]
+            print(f"vehicle {vehicle_id}: leader lost after {min(missed_s):.2f} s, follows 2 after {min(led_s):.2f} s")
+        assert [(ground.newest[i].role, ground.newest[i].epoch, ground.newest[i].prc) for i in FOLLOWERS] == [
+            (Role.LEADER, 1, 1),
+            (Role.FOLLOWER, 1, 2),
+            (Role.FOLLOWER, 1, 3),
+        ]
+        reference_enu_m = ground.newest[2].reference_enu_m
+        assert reference_enu_m is not None
+        for status in (ground.newest[i] for i in FOLLOWERS):
+            wanted = [r + d for r, d in zip(reference_enu_m, status.slot.position_enu_m, strict=True)]
+            assert dist(status.position_enu_m, wanted) < 0.5
+        ground.order(CommandName.LAND, FlightPhase.OBSERVE, FOLLOWERS)

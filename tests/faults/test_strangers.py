@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from common import until
 from companion.ground.commands import statuses_of
 from companion.ground.session import FleetSession
 from companion.security.provisioning import revoke
@@ -25,7 +26,7 @@ from companion.types.commands import CommandName
 from companion.wire.keys import peer_key
 from fault_table import FaultRow
 from live_site import monitor, snapshot
-from processes import companion, until
+from processes import companion
 from secured_fleet import (
     IDS,
     MEASURED_S,

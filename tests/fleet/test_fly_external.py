@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from common import until
 from companion.mavlink.codec import MavlinkCodec, mavlink
-from processes import free_fleet_offset, until
+from processes import free_fleet_offset
 from sitl.links.ports import ports_of
 from sitl.report.metrics import read_track
 from sitl.report.summary import RunSummary, read_summary

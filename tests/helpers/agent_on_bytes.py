@@ -1,4 +1,7 @@
-"""One agent in virtual time that talks to a stand-in of either autopilot type by real bytes, also while it fails."""
+"""The second way to make a vehicle fly: one agent on bytes. Between it and its autopilot, of either type, is real MAVLink.
+
+`FlightOnBytes` has the agent alone; `FailingFlight` has the control loop around it, and stages that fail.
+"""
 
 from __future__ import annotations
 

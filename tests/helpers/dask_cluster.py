@@ -8,12 +8,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from common import ROOT
+from common import ROOT, until
 from sitl.workers import report_progress
 
 
@@ -100,13 +100,6 @@ def cluster(folder: Path, workers: int) -> Iterator[Cluster]:
         for _ in range(workers):
             made.add_worker()
         yield made
-
-
-def until(what: Callable[[], bool], seconds: float) -> None:
-    end_s = time.monotonic() + seconds
-    while not what():
-        assert time.monotonic() < end_s
-        time.sleep(0.02)
 
 
 def _end_process(process: subprocess.Popen[bytes]) -> None:

@@ -1,4 +1,4 @@
-"""What the ground sees of a fleet: reports, a director with vehicles that answer as configured, and Zenoh links."""
+"""Fleets without flight, for programs on the ground: their reports, vehicles that a director commands, and Zenoh links."""
 
 from __future__ import annotations
 
@@ -306,15 +306,6 @@ PACKET = PeerPacket(
     leader=LeaderReport(prc=1, beacon=None),
     slot=FlownSlot(ZERO),
 )
-
-
-def until(condition: Callable[[], object], each: Callable[[], object] = lambda: None, timeout_s: float = 10.0) -> None:
-    """Repeat `each` until the condition holds."""
-    end_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end_s, "it never came true"
-        each()
-        time.sleep(0.01)
 
 
 PERIOD_S = 0.05

@@ -1,4 +1,4 @@
-"""The real server of the live page: in the event loop of the test, as a process, and snapshots for it."""
+"""The real server of the live page: in the event loop of the test or as a process, and snapshots for it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""A fleet in virtual time: commanded step by step, entering formation, recorded, and what its agents decide."""
+"""The third way to make vehicles fly: a fleet in virtual time, all real agents, the same to the last bit in every run.
+
+`CommandedFlight` has flown a scenario's timeline up to `form`, `EnteringFleet` a whole timeline. `director_of` flies any other
+one; `Recorder`, `Decisions` and `record_targets` keep what happens.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +20,7 @@ from msgspec.structs import replace
 from common import ROOT
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
+from companion.core.agent import Agent
 from companion.core.consensus.law import FormationLaw, FormationState, target
 from companion.core.report import Decision
 from companion.types.autopilot import AttitudeTarget
@@ -38,6 +43,19 @@ from sitl.vehicle.config import Partition
 FORMATION = FlightPhase.FORMATION
 
 
+def director_of(lockstep: Lockstep, watch: FlightWatch, check: Callable[[], None] = lambda: None) -> Director:
+    """Gives the commands of a timeline to a fleet in virtual time; `check` is called in every pass."""
+    return Director(lockstep, watch, FlightProgress("test", True, 0.0), check, tuple, lockstep)
+
+
+def agent_of(scenario: Scenario, vehicle_id: int, session: int) -> Agent:
+    """A new agent of a vehicle of the scenario; session 2 is that after a restart."""
+    member = scenario.fleet.member(vehicle_id)
+    assert member is not None
+    file = vehicle_file(scenario, reached_stand_in(scenario, vehicle_id, port_offset=0), port_offset=0)
+    return build_agent(AgentConfig(file, scenario.fleet, member), session=session)
+
+
 class CommandedFlight:
     """The fleet of a scenario after the form step of its timeline, and all reports, packets, targets, decisions since then."""
 
@@ -45,7 +63,7 @@ class CommandedFlight:
         self.scenario = load_scenario(scenario, ["stand_in.sensors=ideal", *overrides])
         self.lockstep = Lockstep(self.scenario)
         watch = FlightWatch(ids_of(self.scenario), [1], 0.0)
-        director = Director(self.lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, self.lockstep)
+        director = director_of(self.lockstep, watch)
         steps = self.scenario.timeline
         director.fly(steps[: 1 + [step.command for step in steps].index(CommandName.FORM)])
         self.newest: dict[int, Status] = {}
@@ -131,11 +149,7 @@ class CommandedFlight:
         }
 
     def restart(self, vehicle_id: int) -> None:
-        member = self.scenario.fleet.member(vehicle_id)
-        assert member is not None
-        file = vehicle_file(self.scenario, reached_stand_in(self.scenario, vehicle_id, port_offset=0), port_offset=0)
-        agent = build_agent(AgentConfig(file, self.scenario.fleet, member), session=2)
-        self.lockstep.vehicles[vehicle_id].agent = agent
+        self.lockstep.vehicles[vehicle_id].agent = agent_of(self.scenario, vehicle_id, session=2)
 
 
 JUMP_M = 0.0005  # of a slot or a reference, beyond its velocity: a tick at 2.5 m/s^2, more than any blend has
@@ -240,7 +254,7 @@ class EnteringFleet:
         self.ids = ids_of(scenario)
         self.lockstep = Lockstep(scenario)
         watch = FlightWatch(self.ids, [self.ids[0]], 0.0)
-        director = Director(self.lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, self.lockstep)
+        director = director_of(self.lockstep, watch)
         director.fly(scenario.timeline)
         self.newest: dict[int, Status] = {}
         self.events: list[tuple[int, str]] = []
@@ -367,9 +381,7 @@ def fly(folder: Path) -> None:
     """Leaves the recordings of both vehicles in the folder."""
     flown = scenario()
     lockstep = Lockstep(flown, folder)
-    director = Director(
-        lockstep, watch_of(flown, lockstep.now_s()), FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep
-    )
+    director = director_of(lockstep, watch_of(flown, lockstep.now_s()))
     assert not director.fly_and_land(flown.timeline)
     lockstep.close()
 

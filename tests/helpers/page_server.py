@@ -1,4 +1,4 @@
-"""A server of the live page for its tests, whose fleet a test changes, and waiting for what the page shows."""
+"""A server of the live page whose fleet a test changes, and waiting for what the page shows: for tests in a browser."""
 
 from __future__ import annotations
 

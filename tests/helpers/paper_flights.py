@@ -1,4 +1,4 @@
-"""Constructed flights of the paper's experiments, for tests of the verdicts on flown claims."""
+"""Tracks of the paper's experiments as if flown, for tests of the verdicts on flown claims."""
 
 from __future__ import annotations
 

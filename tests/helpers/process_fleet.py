@@ -1,4 +1,8 @@
-"""A fleet of real processes in flight: one vehicle with a tap, fleets under faults, and their ground station."""
+"""The fourth way to make vehicles fly: a fleet of real processes, commanded and heard from the ground.
+
+`fleet_in_formation` starts a scenario as `sitl fly` does. `FaultyFleet` has taps on the wires, and measures what a fault does.
+A single vehicle of real processes is `in_the_air` of wire_autopilots.py.
+"""
 
 from __future__ import annotations
 
@@ -16,168 +20,24 @@ from math import acos, degrees, dist, pi
 from pathlib import Path
 from typing import Any
 
-import pytest
 from msgspec.structs import replace
 
-from common import ROOT
+from common import ROOT, until
 from companion.core.safety.failsafe import FAILSAFES, OTHER_FAILSAFES, Step
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
-from companion.types.notices import Code, Notice
+from companion.types.notices import Code
 from companion.types.status import Status
 from companion.types.values import Vector3
 from fault_table import FaultRow
-from processes import AgentFiles, StandInProcess, agent_files, free_fleet_offset, stand_in, until
+from processes import free_fleet_offset
 from sitl.flight.files import truth_path, write_files, write_network
 from sitl.flight.processes import FleetProcesses
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.links.ports import ports_of, zenoh_endpoint
 from sitl.vehicle.config import Links
-from wire_autopilots import Setpoint, WireTap
-
-UNDER_WAY = 2  # setpoints that may already be on their way
-CLIMBED_M = 1.0
-
-
-@dataclass(frozen=True)
-class AutopilotCase:
-    """What differs between the autopilots. `final_setpoints` is the number of level setpoints that end a stream."""
-
-    stand_in: str
-    formation_mode: int
-    mode_message: str
-    formation_mode_name: str
-    hold_mode: int  # modes of DO_SET_MODE
-    hold_mode_name: str
-    pilots_mode: tuple[int, int]
-    hover_thrust_norm: float
-    final_setpoints: int
-    leaves_formation_by_itself: bool  # without setpoints
-
-
-# A PX4 without its stream changes to Hold after a second, as the README advises.
-PX4 = AutopilotCase(
-    stand_in="{armable_after_s: 1, sensors: ideal, wind: {mean_enu_m_s: [3.0, 0.0, 0.0]}, parameters: {COM_OBL_RC_ACT: 5}}",
-    formation_mode=6 << 16,
-    mode_message="CURRENT_MODE",
-    formation_mode_name="OFFBOARD",
-    hold_mode=4,
-    hold_mode_name="LOITER",
-    pilots_mode=(4, 3),
-    hover_thrust_norm=0.49,
-    final_setpoints=0,
-    leaves_formation_by_itself=True,
-)
-ARDUPILOT = AutopilotCase(
-    stand_in="{autopilot: ardupilot, armable_after_s: 1, sensors: ideal, wind: {mean_enu_m_s: [3.0, 0.0, 0.0]},"
-    " parameters: {GUID_OPTIONS: 8}}",
-    formation_mode=4,
-    mode_message="HEARTBEAT",
-    formation_mode_name="GUIDED",
-    hold_mode=17,
-    hold_mode_name="BRAKE",
-    pilots_mode=(5, 0),
-    hover_thrust_norm=0.365,
-    final_setpoints=1,
-    leaves_formation_by_itself=False,
-)
-
-
-@dataclass
-class TappedFlight:
-    """One flying vehicle with all its processes and a ground session."""
-
-    make: AutopilotCase
-    files: AgentFiles
-    stand_in: StandInProcess
-    tap: WireTap
-    session: FleetSession
-    status: Status | None = None
-
-    @property
-    def phase(self) -> FlightPhase | None:
-        for report in self.session.drain():
-            self.status = report.status
-        return self.status.phase if self.status else None
-
-    def forget_reports(self) -> None:
-        """Forget the status and all reports that wait to be read."""
-        for _ in self.session.drain():
-            pass
-        self.status = None
-
-    def newest_event(self) -> Notice | None:
-        """Of the newest status that has arrived."""
-        return self.status.last_event if self.phase is not None and self.status else None
-
-    def order(self, name: CommandName, phase: FlightPhase) -> None:
-        """Repeat a command until the vehicle is in that phase."""
-
-        def reached() -> bool:
-            if self.phase is not phase:
-                self.session.command([1], name, 1.0)
-            end_s = time.monotonic() + 1.0
-            while self.phase is not phase and time.monotonic() < end_s:
-                time.sleep(0.02)
-            return self.phase is phase
-
-        until(reached, 60.0)
-
-    def form(self) -> None:
-        """From any state into FORMATION, with half a second of setpoints."""
-        self.tap.is_cut, self.tap.withheld = False, ""
-        for name, phase in (
-            (CommandName.PREPARE, FlightPhase.READY),
-            (CommandName.ARM, FlightPhase.ARMED),
-            (CommandName.TAKEOFF, FlightPhase.HOLD),
-        ):
-            if (row := self.stand_in.newest) is None or row.z_m < CLIMBED_M:
-                self.order(name, phase)
-        if self.phase is not FlightPhase.FORMATION:
-            self.order(CommandName.HOLD, FlightPhase.HOLD)
-            self.order(CommandName.FORM, FlightPhase.FORMATION)
-        start_s = time.monotonic()
-        until(lambda: len(self.tap.setpoints_since(start_s)) > 25)
-
-    def observes_and_sends_nothing(self, seconds: float) -> None:
-        """Neither setpoints nor commands in this time; a PX4, which would follow a stream, keeps its mode."""
-        start_s, commands = time.monotonic(), len(self.tap.commands)
-        time.sleep(seconds)
-        assert self.phase is FlightPhase.OBSERVE
-        assert self.tap.setpoints_since(start_s) == []
-        assert self.tap.commands[commands:] == []
-        assert len(self.tap.positions_since(start_s)) > 10  # it had positions
-        assert self.stand_in.newest.mode != "OFFBOARD"  # type: ignore[union-attr]
-
-    def is_silent(self, since_s: float) -> bool:
-        """No setpoint of the law since then except those on their way; level final setpoints where the make needs them."""
-        sent = self.tap.setpoints_since(since_s)
-        if self.make.final_setpoints:
-            last = self.tap.setpoints[-1]
-            assert last.is_level
-            assert last.thrust_norm == pytest.approx(self.make.hover_thrust_norm, rel=0.1)
-        assert sum(setpoint.is_level for setpoint in sent) <= self.make.final_setpoints
-        return sum(not setpoint.is_level for setpoint in sent) <= UNDER_WAY
-
-    def law_setpoints_since(self, time_s: float) -> list[Setpoint]:
-        """Setpoints without the final, level ones."""
-        return [setpoint for setpoint in self.tap.setpoints_since(time_s) if not setpoint.is_level]
-
-
-@contextmanager
-def in_the_air(folder: Path, make: AutopilotCase) -> Iterator[TappedFlight]:
-    with stand_in(folder, f"id: 1\nstand_in: {make.stand_in}\n") as autopilot:
-        files = agent_files(folder)
-        text = files.file.read_text(encoding="utf-8")
-        own = text.replace("hover_thrust_norm: 0.49", f"hover_thrust_norm: {make.hover_thrust_norm}")
-        files.file.write_text(own, encoding="utf-8")
-        with (
-            WireTap(autopilot.ports.companion, files.udp_port, make.formation_mode, make.mode_message) as tap,
-            FleetSession("processtest", (files.zenoh,)) as session,
-        ):
-            yield TappedFlight(make, files, autopilot, tap, session)
-
+from wire_autopilots import PX4, Setpoint, WireTap
 
 IDS = (1, 2, 3, 4)
 LEADER, FOLLOWERS = 1, (2, 3, 4)
@@ -278,13 +138,7 @@ class FaultyFleet:
 
     def wait(self, condition: Callable[[], object], within_s: float) -> None:
         """Receive reports until the condition holds."""
-        end_s = time.monotonic() + within_s
-        while not condition():
-            assert time.monotonic() < end_s, (
-                {i: str(s.last_event) for i, s in self.ground.newest.items()},
-                self.logged(),
-            )
-            self.ground.listen(0.05)
+        self.ground.wait(condition, within_s, self.logged)
 
     def phase(self, vehicle_id: int) -> FlightPhase:
         return self.ground.newest[vehicle_id].phase
@@ -337,18 +191,9 @@ class FaultyFleet:
                     steps.append(_angle_deg(a, b) * min(1.0, TICK_S / apart_s))
         return max(steps)
 
-    def tracks(self) -> dict[int, dict[int, Vector3]]:
-        """True positions of the armed vehicles by id and time in units of 20 ms, since the fault."""
-        found: dict[int, dict[int, Vector3]] = {}
-        for vehicle_id in IDS:
-            lines = truth_path(self.folder, vehicle_id).read_text(encoding="ascii").splitlines(keepends=True)
-            rows = csv.DictReader(line for line in lines if line.endswith("\n"))
-            found[vehicle_id] = {
-                round(float(row["monotonic_s"]) / 0.02): (float(row["x_m"]), float(row["y_m"]), float(row["z_m"]))
-                for row in rows
-                if row["armed"] == "1" and float(row["monotonic_s"]) > self.since.monotonic_s
-            }
-        return found
+    def tracks(self) -> Tracks:
+        """True positions since the fault; see `tracks_since`."""
+        return tracks_since(self.folder, self.since.monotonic_s)
 
     def smallest_distance_m(self) -> float:
         """Smallest true distance between two armed vehicles since the fault."""
@@ -362,14 +207,41 @@ class FaultyFleet:
     def largest_error_m(self, last_s: float) -> float:
         """Largest true error of a follower's place beside the leader in the last seconds."""
         tracks = self.tracks()
-        slots = {member.id: member.slot_enu_m for member in self.scenario.fleet.vehicles}
-        times = sorted(set.intersection(*(set(track) for track in tracks.values())))[-round(last_s / 0.02) :]
-        assert len(times) > 25 * last_s  # half of them
-        return max(
-            dist(_minus(tracks[i][at], tracks[LEADER][at]), _minus(slots[i], slots[LEADER]))
-            for i in FOLLOWERS
-            for at in times
-        )
+        end = max(max(track) for track in tracks.values())
+        newest = {
+            i: {at: where for at, where in track.items() if at > end - last_s / TICK_S} for i, track in tracks.items()
+        }
+        return largest_error_m(self.scenario, newest, at_least=round(25 * last_s))  # half of them
+
+
+Tracks = dict[int, dict[int, Vector3]]
+"""True positions by vehicle id and time in units of 20 ms."""
+
+
+def tracks_since(folder: Path, since_s: float) -> Tracks:
+    """Of the vehicles while they are armed, since this time of the monotonic clock."""
+    found: Tracks = {}
+    for vehicle_id in IDS:
+        lines = truth_path(folder, vehicle_id).read_text(encoding="ascii").splitlines(keepends=True)
+        rows = csv.DictReader(line for line in lines if line.endswith("\n"))
+        found[vehicle_id] = {
+            round(float(row["monotonic_s"]) / TICK_S): (float(row["x_m"]), float(row["y_m"]), float(row["z_m"]))
+            for row in rows
+            if row["armed"] == "1" and float(row["monotonic_s"]) > since_s
+        }
+    return found
+
+
+def largest_error_m(scenario: Scenario, tracks: Tracks, at_least: int) -> float:
+    """Largest true error of a follower's place beside the leader, at all times that every track has."""
+    slots = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
+    times = set.intersection(*(set(track) for track in tracks.values()))
+    assert len(times) > at_least, "too little truth"
+    return max(
+        dist(_minus(tracks[i][at], tracks[LEADER][at]), _minus(slots[i], slots[LEADER]))
+        for i in FOLLOWERS
+        for at in times
+    )
 
 
 def _minus(a: Sequence[float], b: Sequence[float]) -> tuple[float, ...]:
@@ -379,6 +251,34 @@ def _minus(a: Sequence[float], b: Sequence[float]) -> tuple[float, ...]:
 def _angle_deg(a: Setpoint, b: Setpoint) -> float:
     cosine = abs(sum(p * q for p, q in zip(a.attitude, b.attitude, strict=True)))
     return degrees(2.0 * acos(min(cosine, 1.0)))
+
+
+@dataclass(frozen=True)
+class StartedFleet:
+    """The processes of a scenario, and a ground station that hears all vehicles."""
+
+    processes: FleetProcesses
+    session: FleetSession
+    ground: Ground
+
+    def kill(self, name: str, number: signal.Signals = signal.SIGKILL) -> None:
+        os.kill(self.processes.pid_of(name), number)
+
+
+@contextmanager
+def fleet_in_formation(scenario: Scenario, folder: Path) -> Iterator[StartedFleet]:
+    """All processes of a scenario as `sitl fly` starts them, ended with the block."""
+    port_offset, ids = free_fleet_offset(), tuple(member.id for member in scenario.fleet.vehicles)
+    endpoints = [zenoh_endpoint(i, port_offset) for i in ids]
+    with (
+        FleetProcesses.start(scenario, folder, port_offset) as processes,
+        FleetSession(scenario.fleet.name, endpoints) as session,
+    ):
+        ground = Ground(session)
+        ground.fly_to_formation(ids)
+        ground.listen(2.0)
+        assert ground.phases(ids) == {FlightPhase.FORMATION}
+        yield StartedFleet(processes, session, ground)
 
 
 @contextmanager
@@ -457,13 +357,17 @@ class Ground:
                 self.events.add(f"{report.status.vehicle_id}: {report.status.last_event}")
             time.sleep(0.02)
 
+    def wait(
+        self, condition: Callable[[], object], within_s: float = 40.0, logged: Callable[[], object] = lambda: ""
+    ) -> None:
+        """Receive reports until the condition holds. `logged` is shown where it does not."""
+        end_s = time.monotonic() + within_s
+        while not condition():
+            assert time.monotonic() < end_s, ({i: str(s.last_event) for i, s in self.newest.items()}, logged())
+            self.listen(0.05)
+
     def fly_to_formation(self, ids: tuple[int, ...]) -> None:
-        for name, phase in (
-            (CommandName.PREPARE, FlightPhase.READY),
-            (CommandName.ARM, FlightPhase.ARMED),
-            (CommandName.TAKEOFF, FlightPhase.HOLD),
-            (CommandName.FORM, FlightPhase.FORMATION),
-        ):
+        for name, phase in TO_FORMATION:
             self.order(name, phase, ids)
 
     def phases(self, ids: tuple[int, ...]) -> set[FlightPhase | None]:

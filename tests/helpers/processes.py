@@ -10,7 +10,6 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
+from common import until
 from sitl.links.ports import LOOPBACK, Ports, ports_of
 from sitl.vehicle.truth import TRUTH_HEADER
 
@@ -234,13 +234,6 @@ def companion(*arguments: str, timeout_s: float = 30.0) -> subprocess.CompletedP
     return subprocess.run(
         [sys.executable, "-m", "companion", *arguments], capture_output=True, text=True, timeout=timeout_s, check=False
     )
-
-
-def until(condition: Callable[[], object], timeout_s: float = 20.0) -> None:
-    end_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end_s, f"condition not met within {timeout_s} s"
-        time.sleep(0.01)
 
 
 TAIL_BYTES = 512  # of a truth file: more than two rows

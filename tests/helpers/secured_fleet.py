@@ -1,8 +1,7 @@
-"""Fleets with identities: provisioned files, real processes in formation with TLS, and attacks on them."""
+"""A process fleet with identities: provisioned files, TLS between the processes, and attacks on them."""
 
 from __future__ import annotations
 
-import csv
 import json
 import threading
 import time
@@ -11,14 +10,13 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import count, pairwise
-from math import dist
 from pathlib import Path
 from typing import Any
 
 import zenoh
 from msgspec.structs import replace
 
-from common import ROOT, with_fields
+from common import AT_REST, ROOT, with_fields
 from companion.cli.main import main
 from companion.config.vehicle import protocol_of
 from companion.ground.session import FleetSession
@@ -28,15 +26,13 @@ from companion.security.identity import Identity
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name, participant_name
 from companion.security.provisioning import Provisioned, provision_new, revoke
 from companion.types.commands import Command, CommandName
-from companion.types.flight import FlightPhase, Role
-from companion.types.formation import FlownSlot
-from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
+from companion.types.flight import FlightPhase
 from companion.wire.keys import abort_key, command_key, peer_key, reply_key, status_key
 from companion.wire.messages import encode, encode_peer
 from fault_table import FaultRow
-from process_fleet import Ground
+from process_fleet import IDS, Ground, largest_error_m, tracks_since
 from processes import free_fleet_offset
-from sitl.flight.files import truth_path, write_files
+from sitl.flight.files import write_files
 from sitl.flight.processes import FleetProcesses, stand_ins_together
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.links.ports import ports_of
@@ -133,8 +129,6 @@ def tls_of(own: Path, authority: Path | None = None) -> dict[str, Any]:
     }
 
 
-IDS = (1, 2, 3, 4)
-LEADER, FOLLOWERS = 1, (2, 3, 4)
 OTHERS_IN_FLIGHT = ("ground-anna", "ground-ben", "monitor-tower", "target-main", "traffic-adsb")
 OVERRIDES = (
     "fleet.law.name=cooperative",
@@ -171,27 +165,7 @@ class SecuredFleet:
 
     def largest_error_m(self, since_s: float) -> float:
         """Largest true error of a follower's place beside the leader since this time of the monotonic clock."""
-        tracks = {i: self._track(i, since_s) for i in IDS}
-        slots = {member.id: member.slot_enu_m for member in self.scenario.fleet.vehicles}
-        times = set.intersection(*(set(track) for track in tracks.values()))
-        assert len(times) > 50, "a second of truth"
-        return max(
-            dist(_difference(tracks[i][at], tracks[LEADER][at]), _difference(slots[i], slots[LEADER]))
-            for i in FOLLOWERS
-            for at in times
-        )
-
-    def _track(self, vehicle_id: int, since_s: float) -> dict[int, tuple[float, float, float]]:
-        lines = truth_path(self.folder, vehicle_id).read_text(encoding="ascii").splitlines(keepends=True)
-        return {
-            round(float(row["monotonic_s"]) / 0.02): (float(row["x_m"]), float(row["y_m"]), float(row["z_m"]))
-            for row in csv.DictReader(line for line in lines if line.endswith("\n"))
-            if float(row["monotonic_s"]) > since_s
-        }
-
-
-def _difference(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, ...]:
-    return tuple(p - q for p, q in zip(a, b, strict=True))
+        return largest_error_m(self.scenario, tracks_since(self.folder, since_s), at_least=50)  # a second of truth
 
 
 @contextmanager
@@ -240,20 +214,7 @@ def false_messages(fleet: SecuredFleet, operators: tuple[str, ...]) -> Iterator[
     """Packets that put every vehicle 30 m away, and `land` and `abort` to all, under the keys of all."""
     name, formation_hash = fleet.scenario.fleet.name, next(iter(fleet.ground.newest.values())).formation_hash
     sessions = {i: status.session for i, status in fleet.ground.newest.items()}
-    packet = PeerPacket(
-        sender=Sender(vehicle_id=1, session=1, sequence=1, formation_hash=formation_hash),
-        phase=FlightPhase.FORMATION,
-        role=Role.FOLLOWER,
-        motion=Motion(
-            position_enu_m=FAR_M,
-            velocity_enu_m_s=(0.0, 0.0, 0.0),
-            acceleration_enu_m_s2=(0.0, 0.0, 0.0),
-            state_age_s=0.0,
-            sent_s=0.0,
-        ),
-        leader=LeaderReport(prc=2, beacon=None),
-        slot=FlownSlot((0.0, 0.0, 0.0)),
-    )
+    packet = with_fields(AT_REST, formation_hash=formation_hash, position_enu_m=FAR_M)
     for number in count(1):
         for i in IDS:
             false = with_fields(

@@ -1,4 +1,4 @@
-"""Stand-in autopilots in virtual time with one link, and the equations of the rigid body once more."""
+"""Stand-in autopilots in virtual time with one link and no agent, and the equations of the rigid body once more."""
 
 from __future__ import annotations
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from distributed import Client
 
-from common import ROOT
-from dask_cluster import Cluster, cluster, known_tasks, running_tasks, until
+from common import ROOT, until
+from dask_cluster import Cluster, cluster, known_tasks, running_tasks
 from sitl.cli.main import exit_code_of, parser
 from sitl.cluster import client, workers_of
 from sitl.cluster.task import software

@@ -18,12 +18,10 @@ from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.values import ZERO3, Vector3
-from lockstep_fleet import EnteringFleet, Recorder
-from sitl.flight.director import Director
+from lockstep_fleet import EnteringFleet, Recorder, director_of
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.report.metrics import SAMPLE_S
-from sitl.report.progress import FlightProgress
 
 SCENARIO = ROOT / "config" / "scenarios" / "fence_and_obstacles.yaml"
 SET_OFF = "timeline=[{command: prepare}, {command: arm}, {command: takeoff, for_s: 3}]"
@@ -47,7 +45,7 @@ WALLS = {
 def test_the_scenario_is_flown_clear_of_all() -> None:
     scenario = load_scenario(SCENARIO)
     lockstep, watch = Lockstep(scenario), Recorder(scenario)
-    director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
+    director = director_of(lockstep, watch)
     assert director.fly_and_land(scenario.timeline) == []
     assert watch.formation is not None
     assert least_room_m(scenario, lockstep, watch.formation.start_s, watch.formation.end_s) > 0.0

@@ -11,12 +11,10 @@ from msgspec.structs import replace
 from common import ROOT
 from companion.assembly import flyable_problems
 from companion.config.reference import CircleReference, Reference, WaypointsReference
-from lockstep_fleet import Recorder
-from sitl.flight.director import Director
+from lockstep_fleet import Recorder, director_of
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.report.metrics import SAMPLE_S, pairs_of
-from sitl.report.progress import FlightProgress
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 REFUSED_S, ACCEPTED_S = 35.0, 62.0  # one turn of the circle, and there and back, at the two paces
@@ -34,7 +32,7 @@ def flown_by(reference: Reference, for_s: float) -> Scenario:
 def smallest_m(scenario: Scenario) -> float:
     """The smallest true distance of two vehicles in formation."""
     lockstep, watch = Lockstep(scenario), Recorder(scenario)
-    director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
+    director = director_of(lockstep, watch)
     assert director.fly_and_land(scenario.timeline) == []
     assert watch.formation is not None
     times_s = np.arange(watch.formation.start_s, watch.formation.end_s, SAMPLE_S)

@@ -11,16 +11,13 @@ import pytest
 from common import ROOT
 from companion.analysis.interaction import interaction_matrix
 from companion.analysis.response import settled_prcs
-from companion.assembly import build_agent
-from companion.config.vehicle import AgentConfig
 from companion.core.consensus.law import weighted
 from companion.types.autopilot import AttitudeTarget
 from companion.types.commands import CommandName, Lead
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
-from lockstep_fleet import Recorder, record_targets
-from sitl.flight.director import Director
-from sitl.flight.files import ids_of, reached_stand_in, vehicle_file
+from lockstep_fleet import Recorder, agent_of, director_of, record_targets
+from sitl.flight.files import ids_of
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.report.metrics import (
@@ -34,7 +31,6 @@ from sitl.report.metrics import (
     stand_at,
     tracking,
 )
-from sitl.report.progress import FlightProgress
 
 RING = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
 CHANGES = 5
@@ -72,7 +68,7 @@ def _flown(*overrides: str) -> Flown:
     scenario = load_scenario(RING, overrides)
     lockstep, watch = Lockstep(scenario), Recorder(scenario)
     targets = record_targets(lockstep)
-    director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
+    director = director_of(lockstep, watch)
     failures = director.fly_and_land(scenario.timeline)
     return Flown(scenario, watch, failures, {s.vehicle_id: s.track() for s in lockstep.stand_ins}, targets)
 
@@ -194,12 +190,9 @@ def test_an_agent_restarted_in_flight_does_not_become_leader_again() -> None:
     """UAV 1 is leader by its file. While its agent restarts, UAV 2 is leader, and stays leader."""
     scenario = load_scenario(RING)
     lockstep, watch = Lockstep(scenario), Recorder(scenario)
-    director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
+    director = director_of(lockstep, watch)
     director.fly(scenario.timeline[:5])
-    member = scenario.fleet.vehicles[0]
-    file = vehicle_file(scenario, reached_stand_in(scenario, member.id, port_offset=0), port_offset=0)
-    config = AgentConfig(file, scenario.fleet, member)
-    lockstep.vehicles[1].agent = build_agent(config, session=2)
+    lockstep.vehicles[1].agent = agent_of(scenario, 1, session=2)
     lockstep.sleep(2.0)
     answer = lockstep.ask([1], CommandName.HOLD, 1.0)[1]
     assert answer is not None
@@ -241,7 +234,7 @@ class FirstLap:
         scenario = load_scenario(RING)
         self.ids = ids_of(scenario)
         self.lockstep, watch = Lockstep(scenario), Recorder(scenario)
-        director = Director(self.lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, self.lockstep)
+        director = director_of(self.lockstep, watch)
         director.fly(scenario.timeline[:3])
         self.give(CommandName.FORM, *self.ids)
         self.lockstep.sleep(15.0)

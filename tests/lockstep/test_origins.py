@@ -11,8 +11,8 @@ from common import ROOT
 from companion.geometry.frames import geodetic_from_enu, quaternion_from_euler
 from companion.types.flight import Role
 from companion.types.values import Vector3
+from lockstep_fleet import director_of
 from sitl.autopilots.autopilot import Autopilot
-from sitl.flight.director import Director
 from sitl.flight.files import ids_of
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
@@ -85,7 +85,7 @@ def flown(*overrides: str, at_s: float = np.inf, do: Callable[[list[Autopilot]],
         observed.times_s.append(lockstep.now_s())
         observed.wanted_euler_rad.append([autopilot.wanted_euler_rad() for autopilot in autopilots])
 
-    director = Director(lockstep, observed.watch, FlightProgress("test", True, 0.0), look, tuple, lockstep)
+    director = director_of(lockstep, observed.watch, look)
     observed.failures = director.fly_and_land(scenario.timeline)
     assert done or do is None
     return observed

@@ -10,22 +10,17 @@ from math import cos, dist, hypot, sin
 import pytest
 
 from common import ROOT, outcome
-from companion.assembly import build_agent
-from companion.config.vehicle import AgentConfig
 from companion.ground.changes import reference_change
 from companion.types.commands import CommandName, Content, Lead
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.status import Status
 from companion.types.values import Vector3
-from lockstep_fleet import JUMP_M, Decisions, Recorder
-from sitl.flight.director import Director
-from sitl.flight.files import reached_stand_in, vehicle_file
+from lockstep_fleet import JUMP_M, Decisions, Recorder, agent_of, director_of
 from sitl.flight.flights import reference_flown
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import load_scenario
 from sitl.report.metrics import formation_figures, smallest_distance_m
-from sitl.report.progress import FlightProgress
 
 RING = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
 CIRCLE = "{kind: circle, centre_enu_m: [0, 0, 2], radius_m: 4, period_s: 20}"
@@ -44,9 +39,7 @@ class Flight:
         self.scenario = load_scenario(RING, overrides)
         self.lockstep, self.watch = Lockstep(self.scenario), Recorder(self.scenario)
         self.decisions = Decisions(self.lockstep)
-        self.director = Director(
-            self.lockstep, self.watch, FlightProgress("test", True, 0.0), lambda: None, tuple, self.lockstep
-        )
+        self.director = director_of(self.lockstep, self.watch)
 
     def led(self, from_s: float = 0.0) -> Iterator[tuple[float, Status]]:
         """Reports of leaders in formation."""
@@ -167,9 +160,7 @@ def test_an_agent_restarted_in_flight_does_not_become_leader_without_the_referen
     change = reference_change(point, list(flight.listen().values()))
     flight.command(CommandName.REFERENCE, 1, 2, content=change)
     flight.lockstep.sleep(2.0)
-    member = flight.scenario.fleet.vehicles[1]
-    file = vehicle_file(flight.scenario, reached_stand_in(flight.scenario, 2, port_offset=0), port_offset=0)
-    flight.lockstep.vehicles[2].agent = build_agent(AgentConfig(file, flight.scenario.fleet, member), session=2)
+    flight.lockstep.vehicles[2].agent = agent_of(flight.scenario, 2, session=2)
     flight.lockstep.sleep(2.0)
     for name, phase in ((CommandName.HOLD, FlightPhase.HOLD), (CommandName.FORM, FlightPhase.FORMATION)):
         flight.command(name, 2)

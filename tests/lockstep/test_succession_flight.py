@@ -18,14 +18,12 @@ from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.types.status import Status
-from lockstep_fleet import JUMP_M, CommandedFlight, Decisions
-from sitl.flight.director import Director
+from lockstep_fleet import JUMP_M, CommandedFlight, Decisions, director_of
 from sitl.flight.files import ids_of
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.watch import FlightWatch
 from sitl.report.metrics import errors_m, reference_positions_m, stand_at
-from sitl.report.progress import FlightProgress
 
 RING = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
 SUCCESSOR = "fleet.successors=[2]"
@@ -67,7 +65,7 @@ class Flown:
 def flown(*overrides: str, dead: Iterable[int] = (1,), for_s: float = 5.0) -> Flown:
     scenario = load_scenario(RING, overrides)
     lockstep, watch = Lockstep(scenario), FlightWatch(ids_of(scenario), [1], 0.0)
-    director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
+    director = director_of(lockstep, watch)
     director.fly([*scenario.timeline[:3], replace(scenario.timeline[3], for_s=DIES_AFTER_S)])
     died_s, packets = lockstep.now_s(), []
     send = lockstep.network.send
@@ -173,7 +171,7 @@ def test_all_vehicles_stay_in_hold_without_a_land_time() -> None:
 def test_a_commanded_hold_does_not_end_in_landing() -> None:
     scenario = load_scenario(RING, ["fleet.land_after_s=1"])
     lockstep, watch = Lockstep(scenario), FlightWatch(ids_of(scenario), [1], 0.0)
-    director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
+    director = director_of(lockstep, watch)
     director.fly(scenario.timeline[:3])
     answers = lockstep.ask([2, 3], CommandName.HOLD, 1.0)
     assert all(answer and answer.reply.accepted for answer in answers.values())

@@ -16,12 +16,10 @@ from companion.geometry.formations import turn_limits
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
-from lockstep_fleet import JUMP_M, CommandedFlight, Decisions, Recorder
-from sitl.flight.director import Director
+from lockstep_fleet import JUMP_M, CommandedFlight, Decisions, Recorder, director_of
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.report.metrics import SAMPLE_S, errors_m, pairs_of, reference_positions_m, smallest_distance_m
-from sitl.report.progress import FlightProgress
 
 SCENARIOS = ROOT / "config" / "scenarios"
 RING, COLUMN = "ring_figure_8.yaml", "turning_column.yaml"
@@ -37,7 +35,7 @@ class Flown:
         self.scenario = load_scenario(SCENARIOS / file, overrides)
         lockstep, self.watch = Lockstep(self.scenario), Recorder(self.scenario)
         self.decisions = Decisions(lockstep)
-        director = Director(lockstep, self.watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
+        director = director_of(lockstep, self.watch)
         self.failures = director.fly_and_land(self.scenario.timeline)
         self.tracks = {s.vehicle_id: s.track() for s in lockstep.stand_ins}
         assert self.watch.formation is not None

@@ -17,14 +17,13 @@ from companion.analysis.interaction import FloatArray
 from companion.types.flight import FlightPhase
 from companion.types.status import Status
 from companion.wire.messages import StatusReport
+from lockstep_fleet import director_of
 from sitl.autopilots.px4.autopilot import Px4Mode
-from sitl.flight.director import Director
 from sitl.flight.files import ids_of
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.watch import FlightWatch
 from sitl.report.metrics import Formation, Track, errors_m, reference_positions_m, stand_at
-from sitl.report.progress import FlightProgress
 
 SCENARIOS = ROOT / "config" / "scenarios"
 TRUE_HOVER = 0.49
@@ -125,7 +124,7 @@ def flown(name: str, *overrides: str) -> Flown:
     scenario = load_scenario(SCENARIOS / f"{name}.yaml", overrides)
     lockstep = Lockstep(scenario)
     watch = Recorder(lockstep, scenario)
-    director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
+    director = director_of(lockstep, watch)
     assert director.fly_and_land(scenario.timeline) == []
     return Flown(scenario, watch, {s.vehicle_id: s.track() for s in lockstep.stand_ins})
 

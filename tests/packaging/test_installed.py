@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from common import ROOT
-from processes import FLEET, VEHICLE, free_port, free_vehicle_offset, until
+from common import ROOT, until
+from processes import FLEET, VEHICLE, free_port, free_vehicle_offset
 from sitl.links.ports import ports_of
 
 pytestmark = pytest.mark.timeout(900)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from process_fleet import ARDUPILOT, PX4, TappedFlight, in_the_air
+from wire_autopilots import ARDUPILOT, PX4, TappedFlight, in_the_air
 
 
 @pytest.fixture(scope="module", params=[PX4, ARDUPILOT], ids=["px4", "ardupilot"])

@@ -8,11 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from common import until
 from companion.ground.session import FleetSession
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.types.commands import CommandName
 from companion.types.notices import Code
-from processes import AgentFiles, agent, agent_files, companion, until
+from processes import AgentFiles, agent, agent_files, companion
 from wire_autopilots import LOITER, OFFBOARD, HoveringAutopilot
 
 BEAT = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from common import until
 from companion.ground.session import FleetSession
 from companion.link.fleet.zenoh_session import open_session
 from companion.mavlink.codec import mavlink
@@ -23,7 +24,7 @@ from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.wire.keys import command_key, peer_key
 from companion.wire.messages import StatusReport
-from processes import AgentFiles, Running, agent, agent_files, companion, faulty_agent, until
+from processes import AgentFiles, Running, agent, agent_files, companion, faulty_agent
 from wire_autopilots import LOITER, OFFBOARD, HoveringAutopilot
 
 

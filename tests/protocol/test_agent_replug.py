@@ -12,10 +12,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from common import until
 from companion.ground.session import FleetSession
 from companion.mavlink.codec import mavlink
 from companion.types.commands import CommandName
-from processes import agent, agent_files, until
+from processes import agent, agent_files
 from wire_autopilots import LOITER, OFFBOARD, HoveringAutopilot
 
 

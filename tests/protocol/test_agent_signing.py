@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from common import until
 from companion.ground.session import FleetSession
 from companion.mavlink.codec import MavlinkCodec, SigningKey, mavlink
 from companion.types.commands import CommandName
 from companion.types.notices import Code
 from companion.types.status import Status
-from processes import AgentFiles, agent, agent_files, companion, until
+from processes import AgentFiles, agent, agent_files, companion
 from wire_autopilots import LOITER, HoveringAutopilot
 
 SECRET = bytes(range(1, 33))

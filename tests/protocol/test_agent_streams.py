@@ -13,10 +13,11 @@ from pathlib import Path
 
 import pytest
 
+from common import until
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
-from processes import agent, agent_files, free_port, until
+from processes import agent, agent_files, free_port
 from wire_autopilots import LOITER, HoveringAutopilot
 
 PIECE_BYTES = 7  # packets arrive in pieces, as on a slow line

@@ -8,11 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from common import until
 from companion.ground.fleet_state import FleetState, ReportedVehicle, fold, vehicles_at
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
-from processes import agent, agent_files, service_manager, until
+from processes import agent, agent_files, service_manager
 
 PX4_COMPANION_PORT = 14540
 

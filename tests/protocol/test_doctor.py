@@ -10,8 +10,9 @@ from pathlib import Path
 from subprocess import CompletedProcess
 from typing import Any
 
+from common import until
 from companion.types.notices import Code
-from processes import AgentFiles, StandInProcess, agent_files, companion, stand_in, until
+from processes import AgentFiles, StandInProcess, agent_files, companion, stand_in
 from wire_autopilots import IN_ORDER, HoveringAutopilot
 
 CONFIGURED = {"COM_OBL_RC_ACT": 5, "COM_RC_OVERRIDE": 3, "GF_MAX_HOR_DIST": 90.0, "GF_MAX_VER_DIST": 40.0}

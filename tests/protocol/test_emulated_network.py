@@ -15,7 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from processes import free_fleet_offset, until
+from common import until
+from processes import free_fleet_offset
 from sitl.links.emulated_network import emulated_host
 from sitl.links.ports import LOOPBACK, ports_of
 

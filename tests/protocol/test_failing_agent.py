@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from common import until
 from companion.core.consensus.stage import ConsensusStage
 from companion.ground.session import GroundConnection
 from companion.link.fleet.zenoh_link import ZenohLink
@@ -23,8 +24,8 @@ from companion.types.notices import Code
 from companion.types.values import ZERO3
 from companion.wire.keys import peer_key
 from companion.wire.messages import decode_peer
-from process_fleet import UNDER_WAY, TappedFlight
-from processes import agent, faulty_agent, until
+from processes import agent, faulty_agent
+from wire_autopilots import UNDER_WAY, TappedFlight
 
 PEER_KEY = peer_key("processtest", 1)
 PACKETS_KEPT = 256  # a few seconds

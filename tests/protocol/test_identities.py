@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from common import with_fields
+from common import until, with_fields
 from companion.config.fleet_check import load_fleet
 from companion.config.vehicle import ZenohEndpoints
 from companion.ground.publishers import TargetPublisher, TrafficPublisher
@@ -28,7 +28,7 @@ from companion.types.notices import Code
 from companion.types.peers import PeerPacket, TargetSample, TrafficSample
 from companion.wire.keys import abort_key, command_key, peer_key, reply_key, status_key, target_key, traffic_key
 from companion.wire.messages import encode, encode_peer
-from ground_fleet import PACKET, until
+from ground_fleet import PACKET
 from processes import free_port
 from secured_fleet import FLEET_NAME, Identities, provisioned, stranger, tls_of
 
@@ -107,13 +107,13 @@ def everything(session: zenoh.Session, operators: tuple[str, ...] = ("ground-ann
 def attacked(first: Link, attack: Callable[[], None]) -> None:
     """Lets the attack run for TRIES_S."""
     end_s = time.monotonic() + TRIES_S
-    until(lambda: time.monotonic() > end_s, lambda: (attack(), first.tick()))
+    until(lambda: time.monotonic() > end_s, each=lambda: (attack(), first.tick()))
 
 
 def connected(first: Link, second: Link) -> None:
     """Until the first receives the second; then it forgets what came."""
     packet = with_fields(PACKET, vehicle_id=2)
-    until(lambda: first.packets, lambda: (second.link.publish_peer(packet), first.tick()))
+    until(lambda: first.packets, each=lambda: (second.link.publish_peer(packet), first.tick()))
     time.sleep(0.3)
     first.tick()
     first.packets.clear()
@@ -128,12 +128,12 @@ def test_admitted_participants_reach_each_other(fleet: Identities, endpoint: str
         TrafficPublisher(FLEET_NAME, [endpoint], identity=fleet.of("traffic-adsb")) as traffic,
     ):
         connected(first, second)
-        until(lambda: second.packets, lambda: (first.link.publish_peer(PACKET), second.tick()))
-        until(lambda: first.commands, lambda: (ground.command([1], CommandName.ABORT, 0.1), first.tick()))
+        until(lambda: second.packets, each=lambda: (first.link.publish_peer(PACKET), second.tick()))
+        until(lambda: first.commands, each=lambda: (ground.command([1], CommandName.ABORT, 0.1), first.tick()))
         assert {(command.name, command.operator) for command in first.commands} == {(CommandName.ABORT, "ground-anna")}
         until(
             lambda: {type(one).__name__ for one in first.others} == {"ReceivedTarget", "ReceivedTraffic"},
-            lambda: (target.publish(ZERO, ZERO), traffic.publish("4b18", ZERO, ZERO), first.tick()),
+            each=lambda: (target.publish(ZERO, ZERO), traffic.publish("4b18", ZERO, ZERO), first.tick()),
         )
         assert not first.rejected
 
@@ -197,7 +197,7 @@ def test_who_is_revoked_is_not_used_from_the_next_list_on(tmp_path: Path) -> Non
         attacks = [everything(session, ("ground-anna", "ground-ben")) for session in sessions]
         until(
             lambda: len(first.packets) > 10 and len(first.commands) > 10 and len(first.others) > 10,
-            lambda: ([attack() for attack in attacks], first.tick()),
+            each=lambda: ([attack() for attack in attacks], first.tick()),
         )
         authority = read_certificate((fleet.folder / "authority" / "authority.pem").read_bytes())
         held = fleet.of("vehicle-1").admitted

@@ -12,10 +12,11 @@ import time
 
 import pytest
 
+from common import until
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.types.flight import FlightPhase
-from process_fleet import TappedFlight
-from processes import agent, until
+from processes import agent
+from wire_autopilots import TappedFlight
 
 KILLED_LIMIT_S = 0.04
 PILOT_LIMIT_S = 0.1

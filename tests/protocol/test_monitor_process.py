@@ -14,7 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from processes import AgentFiles, agent, agent_files, companion, until
+from common import until
+from processes import AgentFiles, agent, agent_files, companion
 from wire_autopilots import HoveringAutopilot
 
 

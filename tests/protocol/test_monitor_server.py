@@ -13,12 +13,13 @@ from pathlib import Path
 
 import pytest
 
+from common import until
 from companion.link.fleet.zenoh_session import open_session
 from companion.wire.keys import status_key
 from companion.wire.messages import WIRE_VERSION
 from ground_fleet import LinkedVehicles, linked_vehicles
 from live_site import get, monitor, snapshot
-from processes import companion, until
+from processes import companion
 from tests.bench.monitor_load import write_fleet
 
 

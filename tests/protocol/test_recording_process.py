@@ -8,10 +8,11 @@ from pathlib import Path
 
 from pymavlink import mavutil
 
+from common import until
 from companion.recording.mcap_part import CHUNK_S
 from companion.recording.reader import recordings
 from companion.recording.records import INBOX, STATUS
-from processes import agent, agent_files, until
+from processes import agent, agent_files
 from wire_autopilots import HoveringAutopilot
 
 CHUNK_BYTES = 5000  # a second of this flight has some more

@@ -15,6 +15,7 @@ from typing import Self
 import msgspec
 import pytest
 
+from common import until
 from companion.ground.session import FleetSession
 from companion.mavlink.codec import (
     EPOCH_UNIX_S,
@@ -28,7 +29,7 @@ from companion.mavlink.codec import (
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.status import Status
-from processes import AgentFiles, StandInProcess, agent, agent_files, companion, stand_in, until
+from processes import AgentFiles, StandInProcess, agent, agent_files, companion, stand_in
 
 SECRET, OTHER_SECRET = bytes(range(1, 33)), bytes(range(33, 65))
 COPTER = "stand_in: {autopilot: ardupilot, armable_after_s: 1, sensors: ideal, parameters: {GUID_OPTIONS: 8}}\n"

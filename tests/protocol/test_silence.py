@@ -15,10 +15,11 @@ from itertools import pairwise
 
 import pytest
 
+from common import until
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.types.flight import FlightPhase
-from process_fleet import UNDER_WAY, TappedFlight
-from processes import Running, agent, until
+from processes import Running, agent
+from wire_autopilots import UNDER_WAY, TappedFlight
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,8 @@ from typing import IO
 
 import pytest
 
-from processes import StandInProcess, stand_in, until
+from common import until
+from processes import StandInProcess, stand_in
 from sitl.autopilots.px4.autopilot import Px4
 
 

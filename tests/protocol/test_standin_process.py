@@ -13,7 +13,8 @@ from statistics import median
 
 import pytest
 
-from processes import free_vehicle_offset, stand_in, until
+from common import until
+from processes import free_vehicle_offset, stand_in
 from sitl.links.ports import ports_of
 from sitl.vehicle.truth import TRUTH_HEADER
 

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from common import until
 from companion.config.vehicle import load_agent
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.systemd import MIN_WATCHDOG_PERIOD_S, Notifier
-from processes import WATCHDOG_S, AgentFiles, ServiceManager, agent, agent_files, service_manager, until
+from processes import WATCHDOG_S, AgentFiles, ServiceManager, agent, agent_files, service_manager
 from wire_autopilots import HoveringAutopilot
 
 

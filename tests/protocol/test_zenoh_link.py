@@ -18,7 +18,7 @@ import pytest
 import zenoh
 from msgspec.structs import replace
 
-from common import with_fields
+from common import until, with_fields
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, PeerLimits
 from companion.config.vehicle import ZenohEndpoints
 from companion.core.consensus.peers import FleetLimits, PeerTable
@@ -35,7 +35,7 @@ from companion.types.peers import ReceivedPeerPacket, ReceivedTarget, ReceivedTr
 from companion.types.status import Status
 from companion.wire.keys import abort_key, command_key, peer_key, status_key, target_key, traffic_key
 from companion.wire.messages import WIRE_VERSION, Percentiles, StatusReport, Timing, encode, encode_peer
-from ground_fleet import PACKET, until
+from ground_fleet import PACKET
 from processes import free_port
 
 FLEET = FleetConfig(
@@ -121,7 +121,7 @@ def test_a_packet_reaches_the_peers_and_not_its_sender(port: int) -> None:
             first.tick()
             second.tick()
 
-        until(lambda: second.packets, both)
+        until(lambda: second.packets, each=both)
         assert second.packets[0].packet == PACKET
         assert abs(second.packets[0].received_s - time.monotonic()) < 10.0
         assert first.packets == []
@@ -130,7 +130,7 @@ def test_a_packet_reaches_the_peers_and_not_its_sender(port: int) -> None:
 
 def test_a_packet_that_is_decoded_early_is_received_once_with_its_own_time(port: int) -> None:
     with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:
-        until(lambda: second.packets, lambda: (first.link.publish_peer(PACKET), second.tick()))
+        until(lambda: second.packets, each=lambda: (first.link.publish_peer(PACKET), second.tick()))
         sequence, second.packets, decoded_early = count(PACKET.sender.sequence + 1), [], []
 
         def tick() -> None:
@@ -140,7 +140,7 @@ def test_a_packet_that_is_decoded_early_is_received_once_with_its_own_time(port:
             second.tick()
             decoded_early.extend(received for received in second.packets[before:] if received.received_s <= began_s)
 
-        until(lambda: decoded_early, tick)
+        until(lambda: decoded_early, each=tick)
         second.tick()
         sequences = [received.packet.sender.sequence for received in second.packets]
         assert sequences == sorted(set(sequences))
@@ -152,7 +152,7 @@ def test_a_peer_that_starts_late_is_received_without_a_restart(port: int) -> Non
             second.tick()
             time.sleep(0.01)
         with vehicle(1, listen=(endpoint(port),)) as first:
-            until(lambda: second.packets, lambda: (first.link.publish_peer(PACKET), second.tick()))
+            until(lambda: second.packets, each=lambda: (first.link.publish_peer(PACKET), second.tick()))
 
 
 def test_agents_connect_to_configured_peers_only(port: int, other_port: int) -> None:
@@ -168,9 +168,9 @@ def test_agents_connect_to_configured_peers_only(port: int, other_port: int) -> 
             first.tick()
             second.tick()
 
-        until(lambda: first.packets, publish)
+        until(lambda: first.packets, each=publish)
         end_s = time.monotonic() + 1.0
-        until(lambda: time.monotonic() > end_s, publish)
+        until(lambda: time.monotonic() > end_s, each=publish)
         assert second.packets == []
 
 
@@ -186,7 +186,7 @@ def test_a_malformed_peer_packet_is_rejected_and_counted(port: int) -> None:
     with vehicle(2, listen=(endpoint(port),)) as second, closing(open_session((), (endpoint(port),))) as stranger:
         until(
             lambda: set(second.rejected) == set(bad),
-            lambda: (
+            each=lambda: (
                 [stranger.put(peer_key(FLEET.name, vehicle_id), data) for vehicle_id, data in bad.values()],
                 second.tick(),
             ),
@@ -205,7 +205,7 @@ def test_a_key_without_a_vehicle_of_the_fleet_is_not_received(port: int, end: st
         end_s = time.monotonic() + 0.5
         until(
             lambda: second.packets and time.monotonic() > end_s,
-            lambda: (first.link.publish_peer(PACKET), stranger.put(key, b"nonsense"), second.tick()),
+            each=lambda: (first.link.publish_peer(PACKET), stranger.put(key, b"nonsense"), second.tick()),
         )
         assert not second.rejected
 
@@ -216,7 +216,7 @@ def test_a_vehicle_that_floods_displaces_no_packet_of_another(port: int) -> None
         vehicle(2, listen=(endpoint(port),)) as second,
         vehicle(3, connect=(endpoint(port),)) as third,
     ):
-        until(lambda: second.packets, lambda: (first.link.publish_peer(PACKET), second.tick()))
+        until(lambda: second.packets, each=lambda: (first.link.publish_peer(PACKET), second.tick()))
         second.packets.clear()
         flood = with_fields(PACKET, vehicle_id=3)
         for _ in range(100):
@@ -240,7 +240,7 @@ def test_garbage_under_the_key_of_a_vehicle_displaces_none_of_its_packets(port: 
         key, version = peer_key(FLEET.name, 1), encode_peer(PACKET)[:1]
         until(
             lambda: second.packets and second.rejected,
-            lambda: (first.link.publish_peer(PACKET), stranger.put(key, b"nonsense"), second.tick()),
+            each=lambda: (first.link.publish_peer(PACKET), stranger.put(key, b"nonsense"), second.tick()),
         )
         second.packets.clear()
         for _ in range(50):
@@ -273,7 +273,9 @@ def test_a_peer_is_received_at_the_rate_of_the_choice_without_gaps(port: int) ->
             second.link.set_low_rate_peers(distant_ids)
             second.tick()
 
-        until(lambda: {received.packet.sender.vehicle_id for received in second.packets} == {1, 3}, lambda: tick(()))
+        until(
+            lambda: {received.packet.sender.vehicle_id for received in second.packets} == {1, 3}, each=lambda: tick(())
+        )
         second.packets.clear()
         for distant_ids in ((), (1,), (), (1,), ()):
             since = next(sequence)
@@ -294,7 +296,7 @@ def test_a_command_under_the_key_of_another_operator_is_counted(port: int) -> No
     with vehicle(1, listen=(endpoint(port),)) as first, closing(open_session((), (endpoint(port),))) as stranger:
         until(
             lambda: first.rejected,
-            lambda: (stranger.put(command_key(FLEET.name, 1, "mallory"), command), first.tick()),
+            each=lambda: (stranger.put(command_key(FLEET.name, 1, "mallory"), command), first.tick()),
         )
         assert first.rejected.keys() == {Code.COMMAND_KEY_MISMATCH}
         assert first.commands == []
@@ -326,16 +328,16 @@ def test_packets_that_waited_through_a_pause_are_dated_back(port: int) -> None:
         )
 
     with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:
-        until(lambda: age_s() < 0.05, publish)
+        until(lambda: age_s() < 0.05, each=publish)
         publish()
         time.sleep(4 * LONG_PAUSE_S)
         assert age_s() == pytest.approx(4 * LONG_PAUSE_S, abs=LONG_PAUSE_S)
-        until(lambda: age_s() < 0.05, publish)
+        until(lambda: age_s() < 0.05, each=publish)
 
 
 def test_a_flood_of_packets_is_bounded_and_blocks_neither_side(port: int) -> None:
     with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:
-        until(lambda: second.packets, lambda: (first.link.publish_peer(PACKET), second.tick()))
+        until(lambda: second.packets, each=lambda: (first.link.publish_peer(PACKET), second.tick()))
         sequences = count(10)
         flood = [with_fields(PACKET, sequence=next(sequences)) for _ in range(5000)]
         for packet in flood:
@@ -355,7 +357,7 @@ def test_a_command_is_answered_by_the_tick_that_decides(port: int) -> None:
     with vehicle(1, listen=(endpoint(port),)) as first, FleetSession(FLEET.name, (endpoint(port),)) as ground:
         with ThreadPoolExecutor() as pool:
             asked = pool.submit(ground.command, (1, 2), CommandName.FORM, 2.0)
-            until(lambda: first.commands, first.tick)
+            until(lambda: first.commands, each=first.tick)
             command = first.commands[0]
             assert command.name is CommandName.FORM
             first.link.reply(
@@ -364,7 +366,7 @@ def test_a_command_is_answered_by_the_tick_that_decides(port: int) -> None:
                     CommandReply(1, command.number, False, REFUSED, "no", command.operator),
                 ]
             )
-            until(asked.done, first.tick)
+            until(asked.done, each=first.tick)
             assert asked.result() == {
                 1: CommandReply(1, command.number, False, REFUSED, "no", command.operator),
                 2: None,
@@ -391,7 +393,7 @@ def test_a_target_reaches_only_possible_leaders_and_malformed_ones_are_counted(p
             received.extend(leader.link.targets(time.monotonic()))
             assert follower.link.targets(time.monotonic()) == ()
 
-        until(lambda: len(received) > 1 and leader.rejected, publish)
+        until(lambda: len(received) > 1 and leader.rejected, each=publish)
     first, second = received[0].sample, received[1].sample
     assert {target.name for target in received} == {"walker"}
     assert (first.position_enu_m, first.velocity_enu_m_s) == ((5.0, 6.0, 7.0), (1.0, 0.0, 0.0))
@@ -420,7 +422,7 @@ def test_traffic_reaches_every_vehicle_and_malformed_samples_are_counted(port: i
         def known(vehicle_id: int) -> dict[str, TrafficSample]:
             return {each.name: each.sample for each in received[vehicle_id]}
 
-        until(lambda: len(known(1)) == len(known(2)) == 2 and leader.rejected, publish)
+        until(lambda: len(known(1)) == len(known(2)) == 2 and leader.rejected, each=publish)
     for newest in (known(1), known(2)):
         assert newest["4b1805"] == TrafficSample((5.0, 6.0, 7.0), (1.0, 0.0, 0.0), 0.5, 2.0)
         assert newest["4b1806"].position_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
@@ -435,7 +437,7 @@ def test_the_command_lead_carries_its_leaders_and_epoch(port: int) -> None:
         ThreadPoolExecutor() as pool,
     ):
         asked = pool.submit(ground.command, (1,), CommandName.LEAD, 10.0, lead)
-        until(lambda: first.commands, first.tick)
+        until(lambda: first.commands, each=first.tick)
         assert first.commands[0].content == lead
         first.link.reply(
             [CommandReply(1, first.commands[0].number, True, DONE, "follower in epoch 7", first.commands[0].operator)]
@@ -452,7 +454,7 @@ def test_a_command_that_waited_through_a_pause_is_executed_only_if_it_ends_a_for
         FleetSession(FLEET.name, (endpoint(port),)) as ground,
         ThreadPoolExecutor() as pool,
     ):
-        until(lambda: ground.drain(), lambda: first.link.publish_status(REPORT))  # connected
+        until(lambda: ground.drain(), each=lambda: first.link.publish_status(REPORT))  # connected
         first.tick()
         asked = pool.submit(ground.command, (1,), name, 10.0, CONTENT_OF.get(name))
         time.sleep(5 * LONG_PAUSE_S)  # the process hangs
@@ -473,7 +475,7 @@ def test_a_vehicle_that_appears_within_the_timeout_still_gets_the_command(port: 
         asked = pool.submit(ground.command, (1,), CommandName.LAND, 10.0)
         time.sleep(0.3)
         with vehicle(1, listen=(endpoint(port),)) as first:
-            until(lambda: first.commands, first.tick)
+            until(lambda: first.commands, each=first.tick)
             first.link.reply(
                 [CommandReply(1, first.commands[0].number, True, DONE, "land", first.commands[0].operator)]
             )
@@ -490,7 +492,7 @@ def test_commands_of_two_ground_stations_with_the_same_number_are_both_answered(
         ThreadPoolExecutor() as pool,
     ):
         asked = [pool.submit(ground.command, (1,), CommandName.HOLD, 10.0) for ground in (one, other)]
-        until(lambda: len(set(first.commands)) == 2, first.tick)
+        until(lambda: len(set(first.commands)) == 2, each=first.tick)
         first.link.reply(
             [
                 CommandReply(1, command.number, True, DONE, command.operator, command.operator)
@@ -517,7 +519,7 @@ def test_a_malformed_command_is_counted(port: int, payload: bytes, key: str) -> 
     with vehicle(1, listen=(endpoint(port),)) as first, closing(open_session((), (endpoint(port),))) as stranger:
         until(
             lambda: first.rejected[key],
-            lambda: (
+            each=lambda: (
                 stranger.put(command_key(FLEET.name, 1, "mallory"), payload),
                 stranger.put(abort_key(FLEET.name, 1, "mallory"), payload),
                 first.tick(),
@@ -545,9 +547,9 @@ def test_the_ground_connects_no_vehicles_with_each_other(port: int, other_port: 
             second.tick()
             reported.update(report.status.vehicle_id for report in ground.drain())
 
-        until(lambda: reported == {1, 2}, publish)
+        until(lambda: reported == {1, 2}, each=publish)
         end_s = time.monotonic() + 1.0
-        until(lambda: time.monotonic() > end_s, publish)
+        until(lambda: time.monotonic() > end_s, each=publish)
         assert second.packets == []
 
 
@@ -560,7 +562,7 @@ def test_the_ground_counts_malformed_reports(port: int) -> None:
             session.put(status_key(FLEET.name, 3), encode(REPORT))
             assert ground.drain() == []
 
-        until(lambda: len(ground.rejected) == 2, disturb)
+        until(lambda: len(ground.rejected) == 2, each=disturb)
         assert set(ground.rejected) == {Code.REPORT_MALFORMED, Code.PEER_KEY_MISMATCH}
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from companion.config.vehicle import RecordingSettings
 from companion.recording.files import TLOG, FlightFiles, PartFiles, TlogPart, recorded_files, recordings_folder
-from one_agent import Disk
+from recordings import Disk
 
 LATER_S = 1e10  # by that time, all other flights are over
 

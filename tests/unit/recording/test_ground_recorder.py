@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from agent_on_bytes import FailingFlight
+from common import until
 from companion.recording.reader import recordings
 from companion.recording.recorder import ground_recorder
 from companion.recording.records import GROUND_COMMAND, GROUND_STATUS
 from companion.recording.writing import WritingThread
 from companion.types.autopilot import AutopilotKind
 from companion.types.commands import Command, CommandName
-from one_agent import until
 
 
 def test_statuses_and_commands_are_recorded(tmp_path: Path) -> None:

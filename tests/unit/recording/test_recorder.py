@@ -12,6 +12,7 @@ import pytest
 from mcap.reader import make_reader
 
 from agent_on_bytes import PERIOD_S, FailingFlight
+from common import until
 from companion.core.consensus.law import cooperative
 from companion.recording.codec import decode_inbox, decode_outbox, encode
 from companion.recording.files import PartFiles
@@ -25,7 +26,7 @@ from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.tick import Inbox, Outbox
 from companion.wire.rounding import round_outbox
-from one_agent import BEGAN_UNIX_S, Disk, recorder, until
+from recordings import BEGAN_UNIX_S, Disk, recorder
 
 P = FlightPhase
 SECOND = round(1.0 / PERIOD_S)  # ticks

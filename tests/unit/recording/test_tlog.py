@@ -13,7 +13,7 @@ from companion.mavlink.codec import MavlinkCodec
 from companion.mavlink.translator import Translator
 from companion.recording.writing import WritingAtOnce
 from companion.types.autopilot import AttitudeTarget, AutopilotKind
-from one_agent import BEGAN_S, BEGAN_UNIX_S, recorder
+from recordings import BEGAN_S, BEGAN_UNIX_S, recorder
 
 
 class Wire:

@@ -13,7 +13,8 @@ from companion.report.load import StartRecords
 from companion.report.summary import judge
 from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code
-from made_flights import AT_S, LoggedFaults, flight_of, records_of, write_dataflash, write_ulog
+from made_flights import flight_of, records_of
+from recordings import AT_S, LoggedFaults, write_dataflash, write_ulog
 from sitl.autopilots.autopilot import DT_S
 from sitl.autopilots.types import AUTOPILOT_TYPES
 from sitl.vehicle.config import AutopilotFile, StandIn

@@ -20,7 +20,8 @@ from companion.report.track_figures import view
 from companion.types.commands import CommandName
 from companion.types.flight import HealthFlag
 from companion.types.notices import Code, Notice
-from made_flights import Faults, flagged, flight_of, near_vehicle_1, records_of, write_ulog
+from made_flights import Faults, flagged, flight_of, near_vehicle_1, records_of
+from recordings import write_ulog
 
 ZONE = timezone(timedelta(hours=2))
 VOID = {"meta", "br", "img", "path", "use", "rect", "line", "circle"}

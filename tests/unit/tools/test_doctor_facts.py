@@ -13,7 +13,7 @@ from companion.config.vehicle import AgentConfig
 from companion.core.safety.audit import Verdict
 from companion.tools.doctor import DoctorSession
 from companion.types.autopilot import AutopilotKind, VehicleState
-from one_agent import config
+from recordings import config
 
 SINKS, FALLS = 0.0, 7.0  # of COM_OBL_RC_ACT: position mode without a pilot, disarm
 

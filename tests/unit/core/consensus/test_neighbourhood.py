@@ -5,7 +5,7 @@ from __future__ import annotations
 from companion.core.consensus.stage import FORMING_S
 from companion.types.commands import Lead
 from companion.types.flight import FlightPhase
-from consensus_fleet import RING, TICK_S, CooperatingFleet
+from stage_fleets import RING, TICK_S, CooperatingFleet
 
 FORMED = round(FORMING_S / TICK_S) + 5
 

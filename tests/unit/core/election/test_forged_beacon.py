@@ -9,7 +9,7 @@ import pytest
 from common import with_fields
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import LeaderBeacon
-from consensus_fleet import CHAIN, RING, TICK_S, CooperatingFleet, leaders_in
+from stage_fleets import CHAIN, RING, TICK_S, CooperatingFleet, leaders_in
 
 TEN_HOPS = tuple((i, i + 1) for i in range(1, 11))
 GRAPHS = {"ring": RING, "chain of 6": CHAIN, "10 hops": TEN_HOPS}

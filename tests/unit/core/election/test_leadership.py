@@ -20,7 +20,7 @@ from companion.types.flight import Flight, FlightPhase, Role
 from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code, Notice
 from companion.types.peers import ReceivedPeerPacket
-from consensus_fleet import CHAIN, RING, TICK_S, CooperatingFleet, leaders_in
+from stage_fleets import CHAIN, RING, TICK_S, CooperatingFleet, leaders_in
 
 
 def leadership(own_id: int = 1) -> Leadership:

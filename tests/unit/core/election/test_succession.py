@@ -18,7 +18,7 @@ from companion.types.commands import MAX_EPOCH, Lead
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code
-from consensus_fleet import BEACON_MAX_AGE_S, CHAIN, RING, TICK_S, CooperatingFleet, leaders_in
+from stage_fleets import BEACON_MAX_AGE_S, CHAIN, RING, TICK_S, CooperatingFleet, leaders_in
 
 ALL_6 = tuple(range(1, 7))
 STAR = ((1, 2), (1, 3), (1, 4))

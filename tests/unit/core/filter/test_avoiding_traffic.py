@@ -7,7 +7,7 @@ import pytest
 from companion.types.autopilot import VehicleState
 from companion.types.status import NearestVehicle
 from companion.types.values import ZERO3, Vector3
-from filter_flight import Body, Intruder, SeparationFlight, off_m, to_goal
+from stage_fleets import Body, Intruder, SeparationFlight, off_m, to_goal
 
 SEPARATION_M = 2.0
 HOME: Vector3 = (0.0, 0.0, 5.0)

@@ -8,7 +8,7 @@ from companion.types.autopilot import VehicleState
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot
 from companion.types.values import Vector3
-from filter_flight import DRAG_1_S, Body, SeparationFlight, Wish, counted_m, off_m, to_goal
+from stage_fleets import DRAG_1_S, Body, SeparationFlight, Wish, counted_m, off_m, to_goal
 
 SEPARATION_M = 1.0
 HOME: Vector3 = (0.0, 0.0, 5.0)

@@ -10,7 +10,7 @@ from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot
 from companion.types.values import Vector3
-from filter_flight import Body, Noise, SeparationFlight, counted_m, off_m, to_goal
+from stage_fleets import Body, Noise, SeparationFlight, counted_m, off_m, to_goal
 
 SEPARATION_M = 1.0
 HUGE = PositionError(9999.0, 9999.0)

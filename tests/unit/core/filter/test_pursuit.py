@@ -5,7 +5,7 @@ import pytest
 from companion.types.autopilot import VehicleState
 from companion.types.flight import FlightPhase
 from companion.types.values import Vector3
-from filter_flight import Body, Link, SeparationFlight, to_goal
+from stage_fleets import Body, Link, SeparationFlight, to_goal
 
 SEPARATION_M = 2.0
 

@@ -8,7 +8,7 @@ from companion.types.autopilot import VehicleState
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot
 from companion.types.values import Vector3
-from filter_flight import DEFAULT, IDEAL, PX4_SIH, Body, Link, Noise, SeparationFlight, off_m, to_goal
+from stage_fleets import DEFAULT, IDEAL, PX4_SIH, Body, Link, Noise, SeparationFlight, off_m, to_goal
 
 LATE_AND_LOSSY = Link(delay_s=0.1, loss=0.1)
 NOISES = [(IDEAL, 1.0), (DEFAULT, 0.8), (PX4_SIH, 0.6)]

@@ -8,7 +8,7 @@ from companion.core.consensus.law import feedback
 from companion.types.autopilot import VehicleState
 from companion.types.formation import FlownSlot
 from companion.types.values import Vector3
-from filter_flight import DRAG_1_S, GAINS, Body, SeparationFlight, to_goal
+from stage_fleets import DRAG_1_S, GAINS, Body, SeparationFlight, to_goal
 
 SEPARATION_M = 1.0
 BRAKING_M_S2 = (1.0, 2.5)  # 1.0 is as slow as an ArduCopter that levels at 4 m/s

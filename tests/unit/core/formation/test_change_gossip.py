@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from common import with_fields
+from common import peer, with_fields
 from companion.core.formation.changes import first_leader, passed_on
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, LeaderBeacon
 from companion.types.peers import PeerPacket
-from consensus_fleet import peer
 
 CHANGE = FormationChange(1, ((1, (0.0, 0.0, 0.0)), (2, (-2.0, 0.0, 0.0)), (3, (-4.0, 0.0, 0.0))), 10.0, 5.0)
 

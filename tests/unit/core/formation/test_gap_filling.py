@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from common import ROOT, codes_of, with_fields
+from common import NOW_S, ROOT, codes_of, peer, with_fields
 from companion.config.file import ConfigError, refuse
 from companion.config.fleet_check import fleet_problems
 from companion.core.consensus.peers import PeerState
@@ -21,7 +21,6 @@ from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Code, Notice
 from companion.types.values import Vector3
-from consensus_fleet import NOW_S, peer
 from sitl.flight.scenario import load_scenario
 
 COLUMN: dict[int, Vector3] = {i: (-2.0 * (i - 1), 0.0, 0.0) for i in range(1, 6)}

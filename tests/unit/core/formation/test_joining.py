@@ -7,6 +7,7 @@ from math import dist, hypot
 import numpy as np
 import pytest
 
+from common import FLEET, NOW_S, PEER_SLOTS, peer
 from companion.core.consensus.peers import PeerState
 from companion.core.formation.entry import JOINS_AFTER_S, Joining
 from companion.core.formation.paths import Entering
@@ -16,7 +17,6 @@ from companion.types.flight import FlightPhase
 from companion.types.formation import EAST, FlownSlot, Heading
 from companion.types.notices import Refused
 from companion.types.values import ZERO3, Vector3
-from consensus_fleet import FLEET, NOW_S, PEER_SLOTS, peer
 
 
 def joining() -> Joining:

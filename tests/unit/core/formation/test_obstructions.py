@@ -5,13 +5,12 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from common import code_of, with_fields
+from common import code_of, slot_peer, with_fields
 from companion.core.formation.limits import members, refusal_of_tracks, tracks_about
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.types.values import Vector3
-from consensus_fleet import slot_peer
 
 P = FlightPhase
 EAST: list[Vector3] = [(0.0, 0.0, 5.0), (3.0, 0.0, 5.0), (6.0, 0.0, 5.0)]

@@ -7,7 +7,7 @@ from math import dist, hypot
 import numpy as np
 import pytest
 
-from common import code_of, with_fields
+from common import SLOTS, code_of, slot_peer, with_fields
 from companion.core.consensus.law import FormationState, Gains, cooperative, weighted
 from companion.core.consensus.peers import PeerState
 from companion.core.formation.paths import FORM_OR_HOLD, Entering, FormingTogether, law_within_m
@@ -16,7 +16,6 @@ from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import EAST, FlownSlot
 from companion.types.notices import Code, Notice
 from companion.types.values import ZERO3, Vector3
-from consensus_fleet import SLOTS, slot_peer
 
 NOW_S = 100.0
 AT: Vector3 = (20.0, 0.0, 2.0)  # of the RFT

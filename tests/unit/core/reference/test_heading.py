@@ -44,7 +44,7 @@ from companion.types.flight import Flight, FlightPhase, HealthFlag, Role
 from companion.types.formation import EAST, FlownSlot, Heading
 from companion.types.notices import Code, Notice
 from companion.types.values import ZERO3, Vector3
-from consensus_fleet import RING, CooperatingFleet
+from stage_fleets import RING, CooperatingFleet
 
 TICK_S = 0.02
 LIMITS = TurnLimits(0.3, 0.2)

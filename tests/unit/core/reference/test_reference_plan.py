@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from common import ROOT, code_of, codes_of, outcome
-from companion.assembly import build_agent
-from companion.config.vehicle import AgentConfig
 from companion.core.consensus.law import FormationState
 from companion.core.reference.blend import BlendLimits, along, blended, point, reference_box
 from companion.core.reference.plan import ReferencePlan
@@ -25,7 +23,7 @@ from companion.types.formation import FlownSlot, HeldReference
 from companion.types.notices import Answer, Code, Notice, accept, refuse
 from companion.types.peers import LeaderReport, Motion, PeerPacket, ReceivedTarget, Sender, TargetSample
 from companion.types.values import ZERO3, Vector3
-from sitl.flight.files import reached_stand_in, vehicle_file
+from lockstep_fleet import agent_of
 from sitl.flight.scenario import load_scenario
 
 RING = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
@@ -119,10 +117,7 @@ TARGET = {"kind": "target", "start_enu_m": [0.0, 0.0, 2.0], "offset_enu_m": [0.0
 def plan() -> ReferencePlan:
     """The plan of vehicle 1 of the ring, as its agent holds it."""
     scenario = load_scenario(RING, ["fleet.law.name=cooperative"])
-    file = vehicle_file(scenario, reached_stand_in(scenario, 1, port_offset=0), port_offset=0)
-    references = build_agent(
-        AgentConfig(file, scenario.fleet, scenario.fleet.vehicles[0]), session=1
-    ).guidance.references
+    references = agent_of(scenario, 1, session=1).guidance.references
     assert references is not None
     return references
 

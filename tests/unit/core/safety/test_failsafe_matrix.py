@@ -6,7 +6,7 @@ from math import inf, radians
 
 import pytest
 
-from common import with_fields
+from common import slot_peer, with_fields
 from companion.core.consensus.peers import PeerState
 from companion.core.consensus.stage import Consensus, LeadView, Neighbours, PeerSets
 from companion.core.safety.failsafe import (
@@ -32,7 +32,6 @@ from companion.types.flight import STREAMING, FailsafeAction, Flight, FlightPhas
 from companion.types.notices import Code
 from companion.types.status import NearestVehicle, SeparationReport
 from companion.types.tick import Inbox
-from consensus_fleet import slot_peer
 
 F, P, A = HealthFlag, FlightPhase, FailsafeAction
 KINDS = list(AutopilotKind)

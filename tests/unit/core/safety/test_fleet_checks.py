@@ -3,7 +3,7 @@
 import pytest
 from msgspec.structs import replace
 
-from common import code_of, with_fields
+from common import SLOTS, code_of, slot_peer, with_fields
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.commands import CommandName
@@ -11,7 +11,6 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
-from consensus_fleet import SLOTS, slot_peer
 
 OWN = FlownSlot(SLOTS[2])
 CHECKS = FleetChecks(2, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0)

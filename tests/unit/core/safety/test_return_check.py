@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from common import code_of, outcome, with_fields
+from common import code_of, outcome, slot_peer, with_fields
 from companion.core.command.phase import PhaseMachine
 from companion.core.safety.fleet_checks import Path, apart, refusal_of_return
 from companion.types.autopilot import AckSample, AutopilotMode, HeartbeatSample, LandedState, SetMode
@@ -14,7 +14,6 @@ from companion.types.flight import RULES, FlightPhase
 from companion.types.notices import Answer, Code, Notice
 from companion.types.peers import PeerPacket
 from companion.types.values import Vector3
-from consensus_fleet import slot_peer
 from one_agent import AIR, AgentFlight, ImmediateAutopilot, flown_to, levelled, tick
 
 P, M, C = FlightPhase, AutopilotMode, CommandName

@@ -16,8 +16,9 @@ from distributed import Client
 from numpy.lib.introspect import opt_func_info
 
 import dask_cluster as jobs
+from common import until
 from companion.types.errors import UnusableError
-from dask_cluster import Cluster, cluster, until
+from dask_cluster import Cluster, cluster
 from sitl.cli.options import cluster_address
 from sitl.cluster import client as client_module
 from sitl.cluster import workers_of

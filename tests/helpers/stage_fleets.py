@@ -1,7 +1,7 @@
-"""Point masses with an autopilot's lag that fly to goals under the separation filter, with late, lossy and noisy peer states.
+"""One stage of all vehicles, tick by tick: the consensus alone, or the separation filter before point masses.
 
-The vehicle answers an acceleration after a dead time and two low passes, as PX4's measured attitude step response: 50 % after
-0.2 s. Packets, peer table and filter are the agent's own.
+The point masses answer an acceleration after a dead time and two low passes, as PX4's measured attitude step response: 50 %
+after 0.2 s. Peer states may be late, lost and noisy. Packets, peer table and stages are the agent's own.
 """
 
 from __future__ import annotations
@@ -13,14 +13,22 @@ from itertools import combinations, product
 from math import dist, exp, hypot, radians, sqrt, tan
 from random import Random
 
+from msgspec.structs import replace
+
+from common import AT_REST
 from companion.assembly import safety_filter_of
 from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig, FormationMember, Law
 from companion.config.values import Obstacle
 from companion.core.consensus.law import Gains, feedback
+from companion.core.consensus.neighbours import EdgeRule
 from companion.core.consensus.peers import FleetLimits, PeerTable
+from companion.core.consensus.stage import Consensus, ConsensusStage
+from companion.core.election.beacon import BeaconMonitor
+from companion.core.election.leadership import Leadership, Succession
 from companion.core.filter.solver import AccelerationLimits
 from companion.types.autopilot import PositionError, VehicleState
-from companion.types.flight import FlightPhase, Role
+from companion.types.commands import Lead
+from companion.types.flight import Flight, FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot
 from companion.types.peers import (
     LeaderReport,
@@ -312,3 +320,107 @@ def _fleet(ids: Iterable[int], separation_m: float, envelope: Envelope, obstacle
         envelope=envelope,
         obstacles=obstacles,
     )
+
+
+RING = ((1, 2), (2, 3), (3, 4), (4, 1))
+
+
+CHAIN = ((1, 2), (2, 3), (3, 4), (4, 5), (5, 6))
+
+
+BEACON_MAX_AGE_S = 0.25
+
+
+def leaders_in(around: dict[int, Consensus]) -> list[int]:
+    return [i for i, what in around.items() if what.lead.role is Role.LEADER]
+
+
+class CooperatingFleet:
+    """Vehicles in formation that receive all packets of the previous tick, except those in `deaf`.
+
+    Vehicles in `dead` do not run. `receives(receiver, sender)` may replace the network, which loses nothing by default.
+    A vehicle that loses its leader is in hold from the next tick on.
+    """
+
+    def __init__(
+        self,
+        edges: tuple[tuple[int, int], ...],
+        may_lead: tuple[int, ...],
+        successors: tuple[int, ...] = (),
+        beacon_max_age_s: float = BEACON_MAX_AGE_S,
+    ) -> None:
+        self.edges, self.may_lead, self.successors = edges, may_lead, successors
+        self.beacon_max_age_s = beacon_max_age_s
+        self.ids = sorted({i for edge in edges for i in edge})
+        self.vehicles = {i: self.started(i) for i in self.ids}
+        self.packets: dict[int, PeerPacket] = {}
+        self.deaf: set[int] = set()
+        self.dead: set[int] = set()
+        self.receives: Callable[[int, int], bool] = lambda _receiver, _sender: True
+        self.forged: dict[int, PeerPacket] = {}  # by receiver: takes the place of its sender's packet in the next tick
+        self.phases = dict.fromkeys(self.ids, FlightPhase.FORMATION)
+        self.sessions = dict.fromkeys(self.ids, 1)
+        self.now_s = 50.0
+        self._led: set[int] = set()
+
+    def started(self, vehicle_id: int) -> ConsensusStage:
+        return ConsensusStage(
+            vehicle_id,
+            Leadership(vehicle_id, [1], self.may_lead),
+            len(self.ids),
+            PeerTable(vehicle_id, {i: i in self.may_lead for i in self.ids}, 42, 0.3, LIMITS, self.successors),
+            EdgeRule(vehicle_id, self.edges),
+            BeaconMonitor(self.beacon_max_age_s),
+            Succession(vehicle_id, self.successors),
+        )
+
+    def tick(self) -> dict[int, Consensus]:
+        self.now_s += TICK_S
+        around = {
+            i: vehicle.step(
+                self.now_s,
+                VehicleState(position_enu_m=ZERO3, armed=True),
+                Flight(self.phases[i], in_formation=self.phases[i] is not FlightPhase.HOLD),
+                self._received_by(i),
+                fit_to_lead=self.phases[i] is FlightPhase.FORMATION,
+            )
+            for i, vehicle in self.vehicles.items()
+            if i not in self.dead
+        }
+        for i, what in around.items():
+            if what.lead.beacon is not None:
+                self._led.add(i)
+            elif (
+                what.lead.leaderless is HealthFlag.LEADER_LOST
+                and i in self._led
+                and self.phases[i] is FlightPhase.FORMATION
+            ):
+                self.phases[i] = FlightPhase.HOLD
+        self.packets, self.forged = {i: self._packet(i, what) for i, what in around.items()}, {}
+        assert all(not vehicle.peers.rejected for vehicle in self.vehicles.values())
+        return around
+
+    def fly(self, ticks: int) -> dict[int, Consensus]:
+        return [self.tick() for _ in range(ticks)][-1]
+
+    def give(self, lead: Lead, *ids: int) -> None:
+        for i in ids or self.ids:
+            assert self.vehicles[i].leadership.command(lead)[0].accepted
+
+    def _received_by(self, vehicle_id: int) -> list[ReceivedPeerPacket]:
+        senders = [] if vehicle_id in self.deaf else [i for i in self.packets if i != vehicle_id]
+        others = [self.packets[i] for i in senders if self.receives(vehicle_id, i)]
+        if forged := self.forged.get(vehicle_id):
+            others = [packet for packet in others if packet.sender.vehicle_id != forged.sender.vehicle_id] + [forged]
+        return [ReceivedPeerPacket(self.now_s, packet) for packet in others]
+
+    def _packet(self, vehicle_id: int, what: Consensus) -> PeerPacket:
+        sequence = round(self.now_s / TICK_S)
+        return replace(
+            AT_REST,
+            sender=Sender(vehicle_id, session=self.sessions[vehicle_id], sequence=sequence, formation_hash=42),
+            phase=self.phases[vehicle_id],
+            role=what.lead.role,
+            motion=replace(AT_REST.motion, sent_s=self.now_s),
+            leader=LeaderReport(prc=what.prc, beacon=what.lead.beacon),
+        )
