@@ -185,10 +185,10 @@ def test_tiles_come_from_the_folder_alone(tmp_path: Path) -> None:
 
 
 def test_a_slow_folder_of_tiles_delays_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = threading.Event()
+    found, is_file = threading.Event(), Path.is_file
 
-    def is_below(_folder: Path, _file: Path) -> bool:
-        return not found.wait(10.0)
+    def is_file_slowly(path: Path) -> bool:
+        return not found.wait(10.0) if path.name == "5.png" else is_file(path)
 
     async def work(server: Served) -> None:
         asked = asyncio.create_task(server.get("/tiles/3/4/5.png"))
@@ -198,7 +198,7 @@ def test_a_slow_folder_of_tiles_delays_nothing_else(tmp_path: Path, monkeypatch:
         found.set()
         assert (await asked)[0] == 404
 
-    monkeypatch.setattr("companion.monitor.server._is_below", is_below)
+    monkeypatch.setattr(Path, "is_file", is_file_slowly)
     with_server(work, tmp_path)
 
 
