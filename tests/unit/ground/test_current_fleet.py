@@ -1,5 +1,6 @@
 """The fleet file and the endpoints of a command: options, environment, saved current fleet."""
 
+import socket
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from companion.ground.current_fleet import (
     save_current,
     select,
     simulation_endpoints,
+    unreachable,
 )
 
 PAIR = ROOT / "config" / "fleets" / "pair.yaml"
@@ -103,3 +105,25 @@ def test_use_refuses_what_cannot_be_used(
     monkeypatch.setenv("XDG_CONFIG_HOME", environment["XDG_CONFIG_HOME"])
     assert main(["fleet", "use", *arguments]) == 2
     assert load_current(environment) is None
+
+
+# ---------------------------------------------------------------- endpoints that cannot be reached
+
+
+def test_an_endpoint_without_a_listener_is_unreachable() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server, socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        there, refused = (f"tcp/127.0.0.1:{s.getsockname()[1]}" for s in (server, unused))
+        assert unreachable([there, refused], linked=()) == {refused: "connection refused; no agent listens there"}
+
+
+def test_an_unknown_host_is_named() -> None:
+    assert unreachable(["tcp/no-such-host.invalid:7447"], ()) == {
+        "tcp/no-such-host.invalid:7447": "unknown host no-such-host.invalid"
+    }
+
+
+def test_an_endpoint_over_udp_needs_a_link() -> None:
+    endpoint = "udp/127.0.0.1:7447"
+    assert unreachable([endpoint], linked=[endpoint]) == {}
+    assert unreachable([endpoint], ())[endpoint].startswith("no link over udp to 127.0.0.1")

@@ -1,7 +1,8 @@
-"""The live picture on a real pseudo-terminal, and what a terminal without a cursor or a pipe gets."""
+"""The picture on a real pseudo-terminal, on a terminal without a cursor or a pipe, and once as JSON."""
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import signal
@@ -10,6 +11,9 @@ import sys
 
 import pytest
 from rich.console import Console
+
+from companion.monitor.tui import json_once
+from ground_fleet import leader, reported, rows_of
 
 TO_SECOND_SCREEN, BACK, SHOW_CURSOR = b"\x1b[?1049h", b"\x1b[?1049l", b"\x1b[?25h"
 # On a closed port: no vehicle is there, and none is needed.
@@ -86,3 +90,18 @@ def test_without_colour_the_text_is_the_same(monkeypatch: pytest.MonkeyPatch) ->
     assert "\x1b[31m" not in printed.get()
     for line in lines:
         assert line.text in printed.get()
+
+
+# ---------------------------------------------------------------- once, as JSON
+
+
+def test_a_vehicle_that_never_reported_is_named_beside_the_array(capsys: pytest.CaptureFixture[str]) -> None:
+    json_once(rows_of(leader(), reported(2)), {"platoon": frozenset({1, 2, 4})})
+    shown = capsys.readouterr()
+    assert [row["vehicle_id"] for row in json.loads(shown.out)] == [1, 2]
+    assert shown.err == "companion monitor: fleet platoon: NEVER HEARD: vehicle 4 of its fleet file\n"
+
+
+def test_a_whole_fleet_has_the_array_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    json_once(rows_of(leader(), reported(2)), {"platoon": frozenset({1, 2})})
+    assert capsys.readouterr().err == ""

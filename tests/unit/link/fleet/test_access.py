@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
 from itertools import product
+from pathlib import Path
 
 import pytest
 
+from companion.link.fleet.identity import load
 from companion.link.fleet.zenoh_session import access_control, keys_between
+from companion.security.identity import ADMITTED_FILE
 from companion.security.names import ParticipantName, parse_common_name
+from secured_fleet import provisioned
 
 NAMES = (
     "vehicle-1", "vehicle-2", "vehicle-3.2", "ground-anna", "ground-ben", "monitor-tower", "target-beacon", "traffic-adsb",
@@ -76,3 +81,25 @@ def test_what_one_end_sends_the_other_end_receives() -> None:
     for own, other in product(PARTICIPANTS, PARTICIPANTS):
         for message in ("put", "declare_subscriber"):
             assert rules(own, other, message, "egress") == rules(other, own, message, "ingress")
+
+
+# ---------------------------------------------------------------- the admission list in use
+
+
+def test_the_newer_of_two_lists_is_used(tmp_path: Path) -> None:
+    fleet = provisioned(tmp_path / "fleet")
+    own, state = fleet.folder_of("vehicle-1"), {"STATE_DIRECTORY": str(tmp_path)}
+    first = shutil.copy(own / ADMITTED_FILE, tmp_path / "first.json")
+    newer = fleet.revoke("ground-ben").read_bytes()
+    for copied, kept in ((newer, first.read_bytes()), (first.read_bytes(), newer)):
+        (own / ADMITTED_FILE).write_bytes(copied)
+        (tmp_path / ADMITTED_FILE).write_bytes(kept)
+        assert load(own, state).admitted.revocation("ground-ben")
+
+
+def test_a_list_of_an_earlier_authority_is_left_alone(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    earlier, fleet = provisioned(tmp_path / "earlier"), provisioned(tmp_path / "fleet")
+    (tmp_path / ADMITTED_FILE).write_bytes(earlier.revoke("ground-ben").read_bytes())
+    own = fleet.folder_of("vehicle-1")
+    assert load(own, {"STATE_DIRECTORY": str(tmp_path)}).admitted == load(own, {}).admitted
+    assert f"the list in {own} is used" in caplog.text

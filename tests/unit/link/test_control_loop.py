@@ -1,4 +1,4 @@
-"""What fails beside a tick ends the running loop by a hand-over too."""
+"""The running control loop: what fails beside a tick ends it by a hand-over, and its memory stays constant."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from agent_on_bytes import FailingFlight
+from companion.link import control_loop
 from companion.link.control_loop import AgentFailedError
 from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code
@@ -37,3 +38,18 @@ def test_a_failure_ends_the_running_loop(stage: str) -> None:
     event = flight.peers.reports[-1].status.last_event
     assert event is not None
     assert event.code is Code.AGENT_FAILED
+
+
+# ---------------------------------------------------------------- memory
+
+
+def test_full_collections_run_beside_the_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control_loop, "COLLECT_PERIOD_S", 0.05)
+    flight = FailingFlight(AutopilotKind.PX4)
+    flight.link.is_connected = False
+    before = gc.get_stats()[2]["collections"]
+    try:
+        assert not asyncio.run(flight.loop.run(0.4, []))  # until no autopilot has answered
+    finally:
+        gc.unfreeze()
+    assert gc.get_stats()[2]["collections"] >= before + 4  # one of them before the first tick

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
 
+from common import ROOT
 from companion.tools.host_board import Board, HostFinding, HostVerdict
 from companion.tools.host_checks import (
+    KEEP_PERFORMANCE,
+    SWITCH_OFF,
     clock,
     disk,
     examine,
@@ -197,3 +201,13 @@ def test_foreign_text_cannot_control_the_terminal(board: Make) -> None:
 )
 def test_the_serial_port_comes_from_the_endpoint(endpoint: str, port: tuple[str, int]) -> None:
     assert serial_port_of(endpoint) == port
+
+
+# ---------------------------------------------------------------- remedies
+
+
+def test_the_remedies_name_headings_of_the_guide() -> None:
+    headings = re.findall(r"^## (.+)$", (ROOT / "docs" / "installation.md").read_text(encoding="utf-8"), re.MULTILINE)
+    anchors = {title.lower().replace(" ", "-") for title in headings}
+    for remedy in (SWITCH_OFF, KEEP_PERFORMANCE):
+        assert re.findall(r"docs/installation\.md#([\w-]+)", remedy)[0] in anchors
