@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -14,7 +13,6 @@ import pytest
 
 from common import ROOT
 from processes import free_fleet_offset
-from sitl.links.ports import ports_of
 from sitl.report.summary import read_summary
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
@@ -183,65 +181,3 @@ def assert_failure(flight: Flight, begins: str) -> None:
     assert failure.startswith(begins)
     assert failure in flight.printed
     assert "Traceback" not in flight.printed
-
-
-# ---------------------------------------------------------------- refused before any process starts
-
-
-def refused(*arguments: str) -> str:
-    """The one line on stderr of a `sitl fly` that starts no process. On stdout only notes about the scenario and the ports."""
-    done = subprocess.run(
-        [sys.executable, "-m", "sitl", "fly", *arguments], capture_output=True, text=True, timeout=30, check=False
-    )
-    assert done.returncode == 2
-    assert all(line.startswith(("warning, ", "all ports are offset by ")) for line in done.stdout.splitlines())
-    assert len(done.stderr.splitlines()) == 1
-    return done.stderr.strip()
-
-
-@pytest.mark.parametrize(
-    ("kind", "vehicle_id", "which", "user"),
-    [
-        (socket.SOCK_DGRAM, 2, "onboard", "wanted by autopilot 2 towards its agent"),
-        (socket.SOCK_DGRAM, 1, "companion", "wanted by agent 1 towards its autopilot"),
-        (socket.SOCK_DGRAM, 4, "ground_link", "wanted by autopilot 4 towards a ground station"),
-        (socket.SOCK_STREAM, 3, "zenoh", "wanted by Zenoh of agent 3"),
-    ],
-)
-def test_a_port_in_use_is_refused(
-    tmp_path: Path, kind: socket.SocketKind, vehicle_id: int, which: str, user: str
-) -> None:
-    offset = free_fleet_offset()
-    port = getattr(ports_of(vehicle_id, offset), which)
-    with socket.socket(socket.AF_INET, kind) as other:
-        other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # an earlier fleet's connections may linger
-        other.bind(("127.0.0.1", port))
-        if kind is socket.SOCK_STREAM:
-            other.listen()
-        line = refused(str(PLATOON), "--out", str(tmp_path / "out"), "--port-offset", str(offset))
-    assert line.startswith(f"{'UDP' if kind is socket.SOCK_DGRAM else 'TCP'} port {port}, {user}")
-    assert f"--port-offset {offset + 100}" in line
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_bad_scenario_and_a_bad_override_are_refused_in_one_line(tmp_path: Path) -> None:
-    bad = tmp_path / "bad.yaml"
-    bad.write_text(PLATOON.read_text(encoding="utf-8").replace("role: leader", "role: follower"), encoding="utf-8")
-    assert refused(str(bad)).startswith(f"{bad}: fleet.vehicles: no vehicle leads")
-    assert refused(str(tmp_path / "none.yaml")).endswith("cannot be read: No such file or directory; check the path")
-    assert (
-        refused(str(PLATOON), "--set", "fleet.law.nam=x") == '--set: fleet.law.nam: unknown key; did you mean "name"?'
-    )
-
-
-def test_a_comparison_without_a_formation_is_refused() -> None:
-    line = refused(str(PLATOON), "--compare", "--set", "timeline=[{command: prepare}]")
-    assert "timeline: has no step with command: form" in line
-
-
-def test_a_folder_that_cannot_be_made_is_refused_in_one_line(tmp_path: Path) -> None:
-    file = tmp_path / "file"
-    file.touch()
-    assert refused(str(PLATOON), "--port-offset", str(free_fleet_offset()), "--out", str(file)) == (
-        f"{file}: File exists; choose another folder with --out"
-    )

@@ -13,7 +13,7 @@ import pytest
 from common import ROOT
 from companion.analysis.interaction import FloatArray
 from companion.types.notices import Code
-from processes import free_fleet_offset
+from process_fleet import fly
 from sitl.flight.scenario import load_scenario
 from sitl.report.metrics import read_track
 from sitl.report.summary import RunSummary, read_summary
@@ -32,32 +32,17 @@ AGREES_S, AGREES_RMS_M, AGREES_MAX_M = 12.0, 0.05, 0.1
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def fly(folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
-    command = [
-        sys.executable,
-        "-m",
-        "sitl",
-        "fly",
-        str(PLATOON),
-        "--out",
-        str(folder),
-        "--port-offset",
-        str(free_fleet_offset()),
-    ]
-    return subprocess.run([*command, *more], capture_output=True, text=True, timeout=580, check=False)
-
-
 def flown(folder: Path, *more: str) -> RunSummary:
-    done = fly(folder, *more)
-    assert done.returncode == 0, done.stdout + done.stderr
+    fly(PLATOON, folder, *more)
     return read_summary(folder / "summary.json")
 
 
 class Compared:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.done = fly(folder, "--compare", "average_22", "--quiet", "--set", f"{FORM}={COMPARED_S}")
-        assert self.done.returncode == 0, self.done.stdout + self.done.stderr
+        self.done = fly(
+            PLATOON, folder, "--compare", "average_22", "--quiet", "--set", f"{FORM}={COMPARED_S}", timeout_s=580.0
+        )
         self.weighted, self.average = (read_summary(folder / law / "summary.json") for law in LAWS)
 
     @property

@@ -1,14 +1,12 @@
 """Real processes whose local frames have origins 50 m apart; an estimator resets in flight, twice."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from common import ROOT
 from companion.types.notices import Code
-from processes import free_fleet_offset
+from process_fleet import fly
 from sitl.report.summary import read_summary
 
 pytestmark = [pytest.mark.fleet, pytest.mark.long, pytest.mark.timeout(300)]
@@ -25,20 +23,7 @@ OVERRIDES = (
 
 def test_vehicles_with_different_local_frames_reach_one_formation(tmp_path: Path) -> None:
     sets = [argument for override in OVERRIDES for argument in ("--set", override)]
-    command = [
-        sys.executable,
-        "-m",
-        "sitl",
-        "fly",
-        str(PLATOON),
-        "--out",
-        str(tmp_path),
-        "--port-offset",
-        str(free_fleet_offset()),
-        "--quiet",
-    ]
-    done = subprocess.run([*command, *sets], capture_output=True, text=True, timeout=280, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    fly(PLATOON, tmp_path, "--quiet", *sets)
     summary = read_summary(tmp_path / "summary.json")
     assert summary.final_error_m is not None
     assert summary.final_error_m < 0.03

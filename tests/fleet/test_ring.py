@@ -1,14 +1,12 @@
 """Real processes change their leader in flight, on the figure 8 of the paper's second experiment."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from common import ROOT
 from companion.types.notices import Code
-from processes import free_fleet_offset
+from process_fleet import fly
 from sitl.report.summary import read_summary
 
 pytestmark = [pytest.mark.fleet, pytest.mark.long, pytest.mark.timeout(300)]
@@ -28,20 +26,7 @@ STEPS = (
 def test_the_leader_changes_five_times_in_one_formation(tmp_path: Path) -> None:
     """The timeline of the scenario with shorter times between the changes."""
     timeline = f"timeline=[{', '.join(STEPS)}]"
-    command = [
-        sys.executable,
-        "-m",
-        "sitl",
-        "fly",
-        str(RING),
-        "--out",
-        str(tmp_path),
-        "--port-offset",
-        str(free_fleet_offset()),
-        "--quiet",
-    ]
-    done = subprocess.run([*command, "--set", timeline], capture_output=True, text=True, timeout=240, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    fly(RING, tmp_path, "--quiet", "--set", timeline)
     summary = read_summary(tmp_path / "summary.json")
     changes = [
         (event.vehicle, event.event.split(" (")[0]) for event in summary.events if event.code is Code.ROLE_CHANGED

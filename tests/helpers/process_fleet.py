@@ -10,6 +10,8 @@ import csv
 import os
 import re
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -251,6 +253,17 @@ def _minus(a: Sequence[float], b: Sequence[float]) -> tuple[float, ...]:
 def _angle_deg(a: Setpoint, b: Setpoint) -> float:
     cosine = abs(sum(p * q for p, q in zip(a.attitude, b.attitude, strict=True)))
     return degrees(2.0 * acos(min(cosine, 1.0)))
+
+
+def fly(scenario: Path, folder: Path, *more: str, timeout_s: float = 280.0) -> subprocess.CompletedProcess[str]:
+    """`sitl fly` from its start to its end; what it writes is in `folder`."""
+    command = [sys.executable, "-m", "sitl", "fly", str(scenario), "--out", str(folder), *more]
+    port_offset = str(free_fleet_offset())
+    done = subprocess.run(
+        [*command, "--port-offset", port_offset], capture_output=True, text=True, timeout=timeout_s, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done
 
 
 @dataclass(frozen=True)
