@@ -1,7 +1,7 @@
 """The third way to make vehicles fly: a fleet in virtual time, all real agents, the same to the last bit in every run.
 
-`CommandedFlight` has flown a scenario's timeline up to `form`, `EnteringFleet` a whole timeline. `director_of` flies any other
-one; `Recorder`, `Decisions` and `record_targets` keep what happens.
+`FlownScenario` has flown a whole scenario and landed; `CommandedFlight` has flown its timeline up to `form`, and
+`EnteringFleet` one that ends in the air: a test commands both on. `director_of` flies any other timeline.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from functools import cache
 from itertools import combinations, pairwise
 from math import degrees, dist, hypot, inf
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 import yaml
@@ -35,8 +35,9 @@ from companion.wire.messages import StatusReport
 from sitl.flight.director import Director
 from sitl.flight.files import ids_of, reached_stand_in, vehicle_file
 from sitl.flight.lockstep import Lockstep
-from sitl.flight.scenario import Scenario, load_scenario, scenario_from
-from sitl.flight.watch import FlightWatch, watch_of
+from sitl.flight.scenario import Scenario, load_scenario
+from sitl.flight.watch import FlightWatch
+from sitl.report.metrics import SAMPLE_S, Formation
 from sitl.report.progress import FlightProgress
 from sitl.vehicle.config import Partition
 
@@ -310,9 +311,6 @@ class EnteringFleet:
         }
 
 
-Recorded = TypeVar("Recorded")
-
-
 class Recorder(FlightWatch):
     """A FlightWatch that keeps every report with its time of receipt."""
 
@@ -327,63 +325,41 @@ class Recorder(FlightWatch):
 
 def record_targets(lockstep: Lockstep) -> dict[int, list[tuple[float, AttitudeTarget]]]:
     """Setpoints by vehicle id with their times; the lists grow during the flight."""
-    return record_at_setpoints(lockstep, lambda _vehicle_id, target: target)
-
-
-def record_at_setpoints(
-    lockstep: Lockstep, value_of: Callable[[int, AttitudeTarget], Recorded]
-) -> dict[int, list[tuple[float, Recorded]]]:
-    """`value_of(vehicle_id, setpoint)` at every setpoint, by vehicle id, with its time."""
-    recorded: dict[int, list[tuple[float, Recorded]]] = {}
+    recorded: dict[int, list[tuple[float, AttitudeTarget]]] = {}
     for vehicle_id, vehicle in lockstep.vehicles.items():
         rows, follow = recorded.setdefault(vehicle_id, []), vehicle.link.command
 
-        def command(target, now_s, vehicle_id=vehicle_id, rows=rows, follow=follow):  # type: ignore[no-untyped-def]
-            rows.append((now_s, value_of(vehicle_id, target)))
+        def command(target, now_s, rows=rows, follow=follow):  # type: ignore[no-untyped-def]
+            rows.append((now_s, target))
             follow(target, now_s)
 
         vehicle.link.command = command  # type: ignore[method-assign]
     return recorded
 
 
-PLATOON = {
-    "fleet": {
-        "name": "platoon",
-        "origin": {"latitude_deg": 47.4, "longitude_deg": 8.5, "altitude_amsl_m": 488.0},
-        "vehicles": [
-            {"id": 1, "role": "leader", "slot_enu_m": [0.0, 0.0, 0.0]},
-            {"id": 2, "role": "follower", "slot_enu_m": [-2.0, 0.0, 0.0], "may_lead": True},
-        ],
-        "neighbours": {"kind": "edges", "edges": [[1, 2]]},
-        "takeoff_height_m": 1.0,
-    },
-    "starts_enu_m": {1: [0.0, 0.0, 0.0], 2: [-2.0, 0.0, 0.0]},
-    "reference": {"kind": "point", "point_enu_m": [0.5, 0.0, 1.0]},
-    "stand_in": {"sensors": "default"},
-    "timeline": [
-        {"command": "prepare"},
-        {"command": "arm"},
-        {"command": "takeoff"},
-        {"command": "form", "for_s": 2.0},
-        {"command": "lead", "leaders": [2], "for_s": 1.0},
-        {"command": "formation", "formation": {"shape": "line", "spacing_m": 2.5}},
-        {"command": "hold"},
-        {"command": "land"},
-    ],
-}
+class FlownScenario:
+    """A scenario flown to its end and landed, with every report and true position."""
 
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.lockstep, self.watch = Lockstep(scenario), Recorder(scenario)
+        self.record()
+        self.failures = director_of(self.lockstep, self.watch).fly_and_land(scenario.timeline)
+        self.tracks = {stand_in.vehicle_id: stand_in.track() for stand_in in self.lockstep.stand_ins}
 
-def scenario() -> Scenario:
-    return scenario_from(Path("platoon"), PLATOON)
+    def record(self) -> None:
+        """Called before the flight, for what else a test wants to keep."""
 
+    @property
+    def formation(self) -> Formation:
+        assert self.watch.formation is not None
+        return self.watch.formation
 
-def fly(folder: Path) -> None:
-    """Leaves the recordings of both vehicles in the folder."""
-    flown = scenario()
-    lockstep = Lockstep(flown, folder)
-    director = director_of(lockstep, watch_of(flown, lockstep.now_s()))
-    assert not director.fly_and_land(flown.timeline)
-    lockstep.close()
+    def smallest_m(self, after_s: float = 0.0) -> float:
+        """Smallest true distance of two vehicles in formation, from `after_s` after its begin."""
+        times_s = np.arange(self.formation.start_s + after_s, self.formation.end_s, SAMPLE_S)
+        at = {i: track.at(times_s) for i, track in self.tracks.items()}
+        return min(float(np.linalg.norm(at[i] - at[j], axis=1).min()) for i, j in combinations(at, 2))
 
 
 PLATOON_FILE = ROOT / "config" / "scenarios" / "platoon.yaml"

@@ -18,7 +18,7 @@ from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.values import ZERO3, Vector3
-from lockstep_fleet import EnteringFleet, Recorder, director_of
+from lockstep_fleet import EnteringFleet, FlownScenario
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.report.metrics import SAMPLE_S
@@ -43,12 +43,9 @@ WALLS = {
 
 
 def test_the_scenario_is_flown_clear_of_all() -> None:
-    scenario = load_scenario(SCENARIO)
-    lockstep, watch = Lockstep(scenario), Recorder(scenario)
-    director = director_of(lockstep, watch)
-    assert director.fly_and_land(scenario.timeline) == []
-    assert watch.formation is not None
-    assert least_room_m(scenario, lockstep, watch.formation.start_s, watch.formation.end_s) > 0.0
+    flight = FlownScenario(load_scenario(SCENARIO))
+    assert flight.failures == []
+    assert least_room_m(flight.scenario, flight.lockstep, flight.formation.start_s, flight.formation.end_s) > 0.0
 
 
 def least_room_m(scenario: Scenario, lockstep: Lockstep, from_s: float, until_s: float) -> float:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import re
 
-import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from common import ROOT
 from companion.assembly import flyable_problems
 from companion.config.reference import CircleReference, Reference, WaypointsReference
-from lockstep_fleet import Recorder, director_of
-from sitl.flight.lockstep import Lockstep
+from lockstep_fleet import FlownScenario
 from sitl.flight.scenario import Scenario, load_scenario
-from sitl.report.metrics import SAMPLE_S, pairs_of
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 REFUSED_S, ACCEPTED_S = 35.0, 62.0  # one turn of the circle, and there and back, at the two paces
@@ -31,13 +28,9 @@ def flown_by(reference: Reference, for_s: float) -> Scenario:
 
 def smallest_m(scenario: Scenario) -> float:
     """The smallest true distance of two vehicles in formation."""
-    lockstep, watch = Lockstep(scenario), Recorder(scenario)
-    director = director_of(lockstep, watch)
-    assert director.fly_and_land(scenario.timeline) == []
-    assert watch.formation is not None
-    times_s = np.arange(watch.formation.start_s, watch.formation.end_s, SAMPLE_S)
-    at = {s.vehicle_id: s.track().at(times_s) for s in lockstep.stand_ins}
-    return min(float(np.linalg.norm(at[i] - at[j], axis=1).min()) for i, j in pairs_of(at))
+    flight = FlownScenario(scenario)
+    assert flight.failures == []
+    return flight.smallest_m()
 
 
 def accepted(reference: Reference, text: str) -> Reference:

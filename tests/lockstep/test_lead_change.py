@@ -1,6 +1,5 @@
 """The paper's second experiment in virtual time: a ring of four on a figure 8, with leader changes in flight."""
 
-from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from math import degrees, dist
@@ -12,17 +11,14 @@ from common import ROOT
 from companion.analysis.interaction import interaction_matrix
 from companion.analysis.response import settled_prcs
 from companion.core.consensus.law import weighted
-from companion.types.autopilot import AttitudeTarget
 from companion.types.commands import CommandName, Lead
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
-from lockstep_fleet import Recorder, agent_of, director_of, record_targets
+from lockstep_fleet import FlownScenario, Recorder, agent_of, director_of, record_targets
 from sitl.flight.files import ids_of
 from sitl.flight.lockstep import Lockstep
-from sitl.flight.scenario import Scenario, load_scenario, reference_of
+from sitl.flight.scenario import load_scenario, reference_of
 from sitl.report.metrics import (
-    Formation,
-    Track,
     Tracking,
     errors_m,
     formation_figures,
@@ -41,18 +37,9 @@ PAPER_MATRICES = {
 }
 
 
-@dataclass(frozen=True)
-class Flown:
-    scenario: Scenario
-    watch: Recorder
-    failures: list[str]
-    tracks: dict[int, Track]
-    targets: dict[int, list[tuple[float, AttitudeTarget]]]
-
-    @property
-    def formation(self) -> Formation:
-        assert self.watch.formation is not None
-        return self.watch.formation
+class Flown(FlownScenario):
+    def record(self) -> None:
+        self.targets = record_targets(self.lockstep)
 
     def changes_s(self) -> list[float]:
         return [event.time_s for event in self.watch.events if "follower -> leader" in event.event]
@@ -65,12 +52,7 @@ def flown(*overrides: str) -> Flown:
 
 @cache
 def _flown(*overrides: str) -> Flown:
-    scenario = load_scenario(RING, overrides)
-    lockstep, watch = Lockstep(scenario), Recorder(scenario)
-    targets = record_targets(lockstep)
-    director = director_of(lockstep, watch)
-    failures = director.fly_and_land(scenario.timeline)
-    return Flown(scenario, watch, failures, {s.vehicle_id: s.track() for s in lockstep.stand_ins}, targets)
+    return Flown(load_scenario(RING, overrides))
 
 
 def tracking_errors_m(flight: Flown, times_s: np.ndarray) -> dict[int, np.ndarray]:

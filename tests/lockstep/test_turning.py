@@ -16,10 +16,9 @@ from companion.geometry.formations import turn_limits
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
-from lockstep_fleet import JUMP_M, CommandedFlight, Decisions, Recorder, director_of
-from sitl.flight.lockstep import Lockstep
+from lockstep_fleet import JUMP_M, CommandedFlight, Decisions, FlownScenario
 from sitl.flight.scenario import load_scenario, reference_of
-from sitl.report.metrics import SAMPLE_S, errors_m, pairs_of, reference_positions_m, smallest_distance_m
+from sitl.report.metrics import SAMPLE_S, errors_m, reference_positions_m, smallest_distance_m
 
 SCENARIOS = ROOT / "config" / "scenarios"
 RING, COLUMN = "ring_figure_8.yaml", "turning_column.yaml"
@@ -30,17 +29,13 @@ LATE = ("links.peer_delay_s=0.1", "stand_in.sensors=default")
 SETTLED_S = 20.0  # after the start of the formation: vehicles are at their slots, and the heading is the course
 
 
-class Flown:
+class Flown(FlownScenario):
     def __init__(self, file: str, *overrides: str) -> None:
-        self.scenario = load_scenario(SCENARIOS / file, overrides)
-        lockstep, self.watch = Lockstep(self.scenario), Recorder(self.scenario)
-        self.decisions = Decisions(lockstep)
-        director = director_of(lockstep, self.watch)
-        self.failures = director.fly_and_land(self.scenario.timeline)
-        self.tracks = {s.vehicle_id: s.track() for s in lockstep.stand_ins}
-        assert self.watch.formation is not None
-        self.formation = self.watch.formation
+        super().__init__(load_scenario(SCENARIOS / file, overrides))
         self.times_s = np.arange(self.formation.start_s + SETTLED_S, self.formation.end_s, SAMPLE_S)
+
+    def record(self) -> None:
+        self.decisions = Decisions(self.lockstep)
 
     def led(self) -> list[tuple[float, Status]]:
         """Reports of leaders in formation, in order."""
@@ -68,10 +63,6 @@ class Flown:
             place_m = r_m + np.stack([c * x - s * y, s * x + c * y, z], axis=1)
             errors[i] = np.linalg.norm(track.at(self.times_s) - place_m, axis=1)
         return errors
-
-    def smallest_m(self) -> float:
-        at = {i: track.at(self.times_s) for i, track in self.tracks.items()}
-        return min(float(np.linalg.norm(at[i] - at[j], axis=1).min()) for i, j in pairs_of(at))
 
 
 @cache
@@ -101,7 +92,7 @@ def test_slots_are_kept_while_turning_with_five_leader_changes(
     worst_m, worst_fixed_m = (max(e.max() for e in f.errors_m().values()) for f in (flight, fixed))
     assert worst_m < most_m
     assert worst_m < worst_fixed_m + 0.08
-    assert flight.smallest_m() > nearest_m
+    assert flight.smallest_m(SETTLED_S) > nearest_m
     assert not any(any(status.rejected) for _, status in flight.watch.reports)
 
 
@@ -124,7 +115,7 @@ def test_slots_references_and_heading_have_no_step_at_leader_changes(late: tuple
 def test_a_column_changes_to_a_line_while_turning_on_a_circle() -> None:
     flight = flown(COLUMN, "stand_in.sensors=ideal")
     assert max(e.max() for e in flight.errors_m().values()) < 0.4
-    assert flight.smallest_m() > 1.3  # slots that are 2 m apart keep 1.41 m or more during the change
+    assert flight.smallest_m(SETTLED_S) > 1.3  # slots that are 2 m apart keep 1.41 m or more during the change
     assert flight.decisions.jump_m() < JUMP_M
     end = {i: status.slot for i in flight.tracks if (status := flight.watch.status(i))}
     assert sorted(round(slot.position_enu_m[1], 6) for slot in end.values()) == [-3.0, -1.0, 1.0, 3.0]
@@ -133,7 +124,7 @@ def test_a_column_changes_to_a_line_while_turning_on_a_circle() -> None:
 
 def test_the_column_keeps_the_separation_with_noise() -> None:
     flight = flown(COLUMN)
-    assert flight.smallest_m() > flight.scenario.fleet.separation_m
+    assert flight.smallest_m(SETTLED_S) > flight.scenario.fleet.separation_m
 
 
 def test_a_vehicle_rejoins_a_turning_formation() -> None:
