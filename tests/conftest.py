@@ -31,7 +31,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker("real_time")
 
 
-PAIRS = ("test_fly_external.py", "test_return_home.py")  # their fleets have two vehicles
+PAIRS = ("test_fly_external.py", "test_fly_stops.py", "test_return_home.py")  # their fleets have two vehicles
 
 
 class OneFleetOneSequence(LoadScopeScheduling):

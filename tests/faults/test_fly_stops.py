@@ -11,11 +11,24 @@ from pathlib import Path
 
 import pytest
 
-from common import ROOT
 from processes import free_fleet_offset
 from sitl.report.summary import read_summary
 
-PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
+IDS = (1, 2)
+SCENARIO = """\
+fleet:
+  name: pair
+  origin: {latitude_deg: 47.397742, longitude_deg: 8.545594, altitude_amsl_m: 488.0}
+  vehicles:
+    - {id: 1, role: leader, slot_enu_m: [0.0, 0.0, 0.0]}
+    - {id: 2, role: follower, slot_enu_m: [-3.0, 0.0, 0.0]}
+  neighbours: {kind: edges, edges: [[1, 2]]}
+  takeoff_height_m: 1.0
+starts_enu_m: {1: [0.0, 0.0, 0.0], 2: [-3.0, 0.0, 0.0]}
+reference: {kind: point, point_enu_m: [1.0, 0.0, 1.0]}
+stand_in: {sensors: ideal, armable_after_s: 1}
+timeline: [{command: prepare}, {command: arm}, {command: takeoff}, {command: form, for_s: 120}, {command: land}]
+"""
 MARKER = "SITL_TEST_MARKER"
 fleet = pytest.mark.fleet
 
@@ -41,9 +54,9 @@ class Flight:
         self.folder = folder / "out"
         self.marker = uuid.uuid4().hex
         self._log = folder / "fly.log"
-        changes = ("stand_in.armable_after_s=1", "timeline[2].for_s=0", "timeline[3].for_s=120")
-        overrides = [word for change in changes for word in ("--set", change)]
-        arguments = [str(PLATOON), "--out", str(self.folder), "--port-offset", str(free_fleet_offset()), *overrides]
+        scenario = folder / "pair.yaml"
+        scenario.write_text(SCENARIO, encoding="utf-8")
+        arguments = [str(scenario), "--out", str(self.folder), "--port-offset", str(free_fleet_offset())]
         with self._log.open("w") as output:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "sitl", "fly", *arguments],
@@ -58,7 +71,7 @@ class Flight:
         return self._log.read_text(encoding="utf-8")
 
     def agents_logged(self, text: str) -> bool:
-        logs = [self.folder / f"agent_{vehicle_id}.log" for vehicle_id in (1, 2, 3, 4)]
+        logs = [self.folder / f"agent_{vehicle_id}.log" for vehicle_id in IDS]
         return all(log.exists() and text in log.read_text(encoding="utf-8") for log in logs)
 
     def wait_for_formation(self) -> None:
@@ -109,11 +122,11 @@ def launch(tmp_path: Path) -> Iterator[Callable[[], Flight]]:
 def test_ctrl_c_in_formation_lands_all_and_leaves_no_process(launch: Callable[[], Flight]) -> None:
     flight = launch()
     flight.wait_for_formation()
-    assert len(processes(flight.marker)) == 6  # sitl fly, four agents, one process with all stand-ins
+    assert len(processes(flight.marker)) == 4  # sitl fly, two agents, one process with both stand-ins
     flight.process.send_signal(signal.SIGINT)
     assert flight.end(40.0) == 130
     assert processes(flight.marker) == {}
-    assert not any(flight.armed_at_the_end(vehicle_id) for vehicle_id in (1, 2, 3, 4))
+    assert not any(flight.armed_at_the_end(vehicle_id) for vehicle_id in IDS)
     assert flight.agents_logged("land -> observe")
     summary = read_summary(flight.folder / "summary.json")
     assert summary.failure == "interrupted by SIGINT"
@@ -140,7 +153,7 @@ def test_sigterm_on_the_ground_stops_all_processes(launch: Callable[[], Flight])
     flight.process.send_signal(signal.SIGTERM)
     assert flight.end(20.0) == 143
     assert processes(flight.marker) == {}
-    assert not any(flight.armed_at_the_end(vehicle_id) for vehicle_id in (1, 2, 3, 4))
+    assert not any(flight.armed_at_the_end(vehicle_id) for vehicle_id in IDS)
 
 
 @fleet
@@ -156,12 +169,12 @@ def test_killing_the_parent_leaves_no_process(launch: Callable[[], Flight]) -> N
 def test_an_agent_killed_in_formation_ends_the_flight_and_the_others_land(launch: Callable[[], Flight]) -> None:
     flight = launch()
     flight.wait_for_formation()
-    os.kill(flight.process_with("vehicle_3.yaml"), signal.SIGKILL)
+    os.kill(flight.process_with("vehicle_2.yaml"), signal.SIGKILL)
     flight.wait_until(lambda: "landing all" in flight.printed, 1.5)
     assert flight.end(40.0) == 1
     assert processes(flight.marker) == {}
-    assert not any(flight.armed_at_the_end(other) for other in (1, 2, 4))
-    assert_failure(flight, "agent 3 was killed by SIGKILL; log: ")
+    assert not flight.armed_at_the_end(1)
+    assert_failure(flight, "agent 2 was killed by SIGKILL; log: ")
 
 
 @fleet
@@ -171,7 +184,7 @@ def test_stand_ins_killed_in_formation_end_the_flight(launch: Callable[[], Fligh
     os.kill(flight.process_with("autopilot_2.yaml"), signal.SIGKILL)
     assert flight.end(40.0) == 1
     assert processes(flight.marker) == {}
-    assert_failure(flight, "autopilots 1 to 4 were killed by SIGKILL; log: ")
+    assert_failure(flight, "autopilots 1 to 2 were killed by SIGKILL; log: ")
 
 
 def assert_failure(flight: Flight, begins: str) -> None:
