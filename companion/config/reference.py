@@ -7,11 +7,11 @@ one whose trajectory is not known beforehand, like that of a target, also has an
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from math import ceil, dist, floor, hypot, log, tau
+from math import ceil, dist, floor, hypot, tau
 from pathlib import Path
 from typing import Annotated, ClassVar, Self, get_args, get_origin, get_type_hints
 
@@ -19,27 +19,26 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from companion.config.file import convert, read_as
-from companion.config.values import Name, PositionM, Section, about
+from companion.config.values import Name, PositionM, Section
 from companion.geometry.curves import (
-    PEAK_ACCELERATION,
-    PEAK_SPEED,
     Curve,
     Harmonic,
     centred_at,
     circle,
     duration_s,
     figure_8,
+    leg_harmonics,
+    moving_legs,
+    peak_pace,
     waypoint_path,
 )
 from companion.types.values import ZERO3, Vector3
 
 RAMP_SAMPLES, LAP_SAMPLES = 100, 500
-SHORTEST_LEG_M = 1e-6  # a shorter one takes no time
-MANY_LEGS, DURATION_STEP = 32, 1.06
 TARGET_RATES = (0.1, 0.3, 1.0, 2.0, 4.0)  # of a target's motion, in units of largest acceleration over largest speed
 
 
-Speed = Annotated[float, about("largest speed", ge=0.01, le=100)]
+Speed = Annotated[float, Meta(description="largest speed", ge=0.01, le=100)]
 Size = Annotated[float, Meta(ge=0.01, le=1000)]
 
 
@@ -265,12 +264,8 @@ class WaypointsReference(LimitedReference, frozen=True, tag_field="kind", tag="w
         return list(pairwise(self.points_enu_m)) or [(self.start_enu_m, self.start_enu_m)]
 
     def largest_pace(self) -> tuple[float, float]:
-        legs_m = [leg_m for a, b in self.legs_enu_m() if (leg_m := dist(a, b)) > SHORTEST_LEG_M]
-        legs = [(leg_m, duration_s(leg_m, *self.limits)) for leg_m in legs_m]
-        return (
-            max((PEAK_SPEED * leg_m / lasts_s for leg_m, lasts_s in legs), default=0.0),
-            max((PEAK_ACCELERATION * leg_m / lasts_s**2 for leg_m, lasts_s in legs), default=0.0),
-        )
+        paces = [peak_pace(leg_m, duration_s(leg_m, *self.limits)) for *_, leg_m in moving_legs(self.points_enu_m)]
+        return max((pace[0] for pace in paces), default=0.0), max((pace[1] for pace in paces), default=0.0)
 
     def whole_s(self) -> float:
         """All legs."""
@@ -279,28 +274,7 @@ class WaypointsReference(LimitedReference, frozen=True, tag_field="kind", tag="w
 
     def motions(self, slots_turn: bool) -> list[list[Harmonic]]:
         """One for each leg with another direction or pace: the harmonic with its largest speed and acceleration."""
-        return [[harmonic] for harmonic in self._leg_harmonics(slots_turn)]
-
-    def _leg_harmonics(self, slots_turn: bool) -> Iterator[Harmonic]:
-        """Of many legs the duration is shortened by up to DURATION_STEP, so that few rates remain: each is expensive."""
-        lengths_m = [(a, b, leg_m) for a, b in pairwise(self.points_enu_m) if (leg_m := dist(a, b)) > SHORTEST_LEG_M]
-        shortest_s = min((duration_s(leg_m, *self.limits) for _, _, leg_m in lengths_m), default=0.0)
-        seen = set()
-        for a, b, leg_m in lengths_m:
-            lasts_s = duration_s(leg_m, *self.limits)
-            if lasts_s <= 0.0:
-                continue
-            if len(lengths_m) > MANY_LEGS:
-                lasts_s = shortest_s * DURATION_STEP ** floor(log(lasts_s / shortest_s) / log(DURATION_STEP) + 1e-9)
-            direction = ((b[0] - a[0]) / leg_m, (b[1] - a[1]) / leg_m, (b[2] - a[2]) / leg_m)
-            key = (round(leg_m, 3), *(round(abs(c), 3) for c in direction))
-            if key in seen:
-                continue
-            seen.add(key)
-            level = hypot(direction[0], direction[1])
-            along = (level, level, abs(direction[2])) if slots_turn else direction
-            pace = (PEAK_SPEED * leg_m / lasts_s, PEAK_ACCELERATION * leg_m / lasts_s**2)
-            yield Harmonic.of_pace(*pace, along, slots_turn)
+        return [[harmonic] for harmonic in leg_harmonics(self.points_enu_m, self.limits, slots_turn)]
 
 
 class CircleReference(LappingReference, frozen=True, tag_field="kind", tag="circle"):

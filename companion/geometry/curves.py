@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from math import cos, dist, hypot, inf, pi, sin, sqrt
+from math import cos, dist, floor, hypot, inf, log, pi, sin, sqrt
 
 from companion.types.values import ZERO3, Vector3
 
@@ -17,6 +17,8 @@ Curve = Callable[[float], Motion]
 
 PEAK_SPEED = 1.875  # of `rest_to_rest`, in path lengths per duration
 PEAK_ACCELERATION = 10.0 / sqrt(3.0)  # in path lengths per duration squared
+SHORTEST_LEG_M = 1e-6  # a shorter one takes no time
+MANY_LEGS, DURATION_STEP = 32, 1.06
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +145,41 @@ def rest_to_rest(before: Vector3, after: Vector3, elapsed_s: float, lasts_s: flo
         (rate * dx, rate * dy, rate * dz),
         (rate_change * dx, rate_change * dy, rate_change * dz),
     )
+
+
+def moving_legs(points_m: Sequence[Vector3]) -> list[tuple[Vector3, Vector3, float]]:
+    """Start, end and length of each leg that takes time."""
+    return [(a, b, leg_m) for a, b in pairwise(points_m) if (leg_m := dist(a, b)) > SHORTEST_LEG_M]
+
+
+def peak_pace(way_m: float, lasts_s: float) -> tuple[float, float]:
+    """Largest speed [m/s] and acceleration [m/s^2] of `rest_to_rest`."""
+    return PEAK_SPEED * way_m / lasts_s, PEAK_ACCELERATION * way_m / lasts_s**2
+
+
+def leg_harmonics(points_m: Sequence[Vector3], limits: tuple[float, float], slots_turn: bool) -> Iterator[Harmonic]:
+    """One for each leg of a `waypoint_path` with another direction or pace, with its largest speed and acceleration.
+
+    `limits`: of speed [m/s] and acceleration [m/s^2]. Of many legs the duration is shortened by up to DURATION_STEP, so that
+    few rates remain: each is expensive.
+    """
+    legs = moving_legs(points_m)
+    shortest_s = min((duration_s(leg_m, *limits) for *_, leg_m in legs), default=0.0)
+    seen = set()
+    for a, b, leg_m in legs:
+        lasts_s = duration_s(leg_m, *limits)
+        if lasts_s <= 0.0:
+            continue
+        if len(legs) > MANY_LEGS:
+            lasts_s = shortest_s * DURATION_STEP ** floor(log(lasts_s / shortest_s) / log(DURATION_STEP) + 1e-9)
+        direction = ((b[0] - a[0]) / leg_m, (b[1] - a[1]) / leg_m, (b[2] - a[2]) / leg_m)
+        key = (round(leg_m, 3), *(round(abs(c), 3) for c in direction))
+        if key in seen:
+            continue
+        seen.add(key)
+        level = hypot(direction[0], direction[1])
+        along = (level, level, abs(direction[2])) if slots_turn else direction
+        yield Harmonic.of_pace(*peak_pace(leg_m, lasts_s), along, slots_turn)
 
 
 def approach_speed(

@@ -24,7 +24,11 @@ from typing import Any, TypeVar
 from companion.types.errors import CompanionError
 
 Received = Callable[[bytes, float], bool]  # (bytes, time of arrival) -> whether they are from the autopilot
+Datagram = TypeVar("Datagram")
 AllRead = Callable[[], None]  # after `Received` was called for all that waited, up to a limit
+
+LONGEST_NUMBER = 9  # digits; Python refuses to parse thousands of them
+_log = logging.getLogger(__name__)
 
 _IN_USE = "{what} is in use; stop the other program (an agent or ground station?) or choose another one"
 _ADVICE = {
@@ -38,9 +42,6 @@ _ADVICE = {
     errno.ECONNREFUSED: "no program listens at {what}; is the autopilot running?",
     errno.ENOTTY: "{what} is not a serial device; expected one like /dev/ttyACM0, see /dev/serial/by-id",
 }
-
-
-Datagram = TypeVar("Datagram")
 
 
 class LinkError(CompanionError):
@@ -94,9 +95,6 @@ def read_waiting(receive: Callable[[], Datagram], most: int) -> Iterator[Datagra
             return
         except OSError:
             continue  # ICMP error for a datagram sent earlier
-
-
-LONGEST_NUMBER = 9  # digits; Python refuses to parse thousands of them
 
 
 def open_link(endpoint: str, received: Received, all_read: AllRead) -> UdpLink | StreamLink:
@@ -183,7 +181,7 @@ class UdpLink:
         if self._received(data, received_s):
             if sender != self._autopilot:
                 self._autopilot = sender
-                logging.getLogger(__name__).info("autopilot at %s:%d", *sender[:2])
+                _log.info("autopilot at %s:%d", *sender[:2])
             self._heard_s = received_s
 
 
@@ -216,12 +214,9 @@ def _arrival_s(ancillary: list[tuple[int, int, bytes]]) -> float:
 READ_BYTES = 4096  # at once, some 100 messages; the rest wakes the loop again, after a tick that may be due
 RECONNECT_FIRST_S, RECONNECT_MAX_S = 0.2, 2.0
 BACKLOG_BYTES = 1024  # most unsent bytes in the kernel before data is dropped: a third of a second of setpoints
-# The link counts as free up to this number of unsent bytes.
-SERIAL_IDLE_BYTES = 64
-TCP_IDLE_BYTES = 512  # sent but not acknowledged
+SERIAL_IDLE_BYTES, TCP_IDLE_BYTES = 64, 512  # of TCP those that are not acknowledged
+_INT = struct.Struct("@i")
 SILENT_PEER_MS = 5000  # a TCP connection without acknowledgements for this time is lost
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,7 +252,8 @@ class StreamLink:
         if not self._stream or self._rest:
             return False
         try:
-            if _waiting_bytes(self._stream.fd) > most_bytes:
+            (unsent_bytes,) = _INT.unpack(fcntl.ioctl(self._stream.fd, termios.TIOCOUTQ, bytes(_INT.size)))
+            if unsent_bytes > most_bytes:
                 return False
             self._write(data)
         except OSError as error:
@@ -285,9 +281,8 @@ class StreamLink:
             self.close()
 
     def problem(self) -> str:
-        return (
-            self._problem or f"{self._line.name} is open, but no packet of this autopilot arrived; check the other end"
-        )
+        silent = "is open, but no packet of this autopilot arrived; check the other end"
+        return self._problem or f"{self._line.name} {silent}"
 
     def close(self) -> None:
         if self._stream:
@@ -345,12 +340,6 @@ class StreamLink:
     def _lose(self, why: str) -> None:
         if self._lost and not self._lost.done():
             self._lost.set_result(why)
-
-
-def _waiting_bytes(fd: int) -> int:
-    """Unsent bytes in the kernel (TIOCOUTQ), of a serial line or a TCP socket."""
-    buffer = fcntl.ioctl(fd, termios.TIOCOUTQ, b"\0" * 4)
-    return int(struct.unpack("@i", buffer)[0])
 
 
 # ---------------------------------------------------------------- TCP and serial
