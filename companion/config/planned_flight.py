@@ -22,7 +22,7 @@ from companion.config.fleet import (
 )
 from companion.config.fleet_check import checkable, fleet_problems, start_problems
 from companion.config.validation import INVALID, Problem, each, unless_invalid
-from companion.config.values import Name, PositionM, Section, VehicleId
+from companion.config.values import Name, PositionM, Section, VehicleId, about
 from companion.geometry.formations import SHAPES, slots_of
 from companion.types.flight import Role
 from companion.types.values import Vector3
@@ -35,8 +35,8 @@ START_CLEARANCE = 1.2
 """Smallest distance of default starts in the plane, in units of `separation_m`."""
 
 ShapeName = Literal["line", "column", "v", "diamond", "rectangle", "circle", "grid", "layers"]
-HeadingDeg = Annotated[float, Meta(description="heading of the formation: 0 is east, 90 is north", ge=-360, le=360)]
-SpacingM = Annotated[float, Meta(description="smallest distance between slots", gt=0, le=1000)]
+HeadingDeg = Annotated[float, about("heading of the formation: 0 is east, 90 is north", ge=-360, le=360)]
+SpacingM = Annotated[float, about("smallest distance between slots", gt=0, le=1000)]
 VehicleCount = Annotated[int, Meta(ge=1, le=250)]
 
 

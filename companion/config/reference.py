@@ -19,7 +19,7 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from companion.config.file import convert, read_as
-from companion.config.values import Name, PositionM, Section
+from companion.config.values import Name, PositionM, Section, about
 from companion.geometry.curves import (
     Curve,
     Harmonic,
@@ -38,7 +38,7 @@ RAMP_SAMPLES, LAP_SAMPLES = 100, 500
 TARGET_RATES = (0.1, 0.3, 1.0, 2.0, 4.0)  # of a target's motion, in units of largest acceleration over largest speed
 
 
-Speed = Annotated[float, Meta(description="largest speed", ge=0.01, le=100)]
+Speed = Annotated[float, about("largest speed", ge=0.01, le=100)]
 Size = Annotated[float, Meta(ge=0.01, le=1000)]
 
 

@@ -1,13 +1,13 @@
 """Types that sections of our files share: no unknown keys, and numbers with bounds and units.
 
 What a key means is written once, in the docstring of its section, from which the configuration reference is made
-(docs/generate); that of a type which several sections use, in its `Meta`. The unit is in the name of the field.
+(docs/generate). The unit is in the name of the field. `about` describes a type that several sections use, `written` a text.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
@@ -20,11 +20,16 @@ def written(pattern: str, words: str) -> Meta:
     return Meta(pattern=pattern, extra={"format": words})
 
 
+def about(description: str, **bounds: Any) -> Meta:
+    """What a key means, for the configuration reference, with the bounds of its values (those of `msgspec.Meta`)."""
+    return Meta(description=description, **bounds)
+
+
 MAX_DRAG_1_S = 10.0
 FLEET_NAME_WORDS = "at most 41 lower-case letters, digits, - and _, a letter or digit first"
 
 Name = Annotated[str, written(FLEET_NAME, FLEET_NAME_WORDS)]
-VehicleId = Annotated[int, Meta(description="MAVLink system id of the vehicle", ge=1, le=250)]
+VehicleId = Annotated[int, about("MAVLink system id of the vehicle", ge=1, le=250)]
 Text = Annotated[str, Meta(min_length=1)]
 NetworkAddress = Annotated[
     str,
@@ -33,10 +38,10 @@ NetworkAddress = Annotated[
 Seconds = Annotated[float, Meta(gt=0, le=60)]
 Coordinate = Annotated[float, Meta(ge=-10_000, le=10_000)]
 PositionM = tuple[Coordinate, Coordinate, Coordinate]
-HoverThrust = Annotated[float, Meta(description="normalized thrust in a hover, 0 to 1", ge=0.1, le=0.9)]
+HoverThrust = Annotated[float, about("normalized thrust in a hover, 0 to 1", ge=0.1, le=0.9)]
 Drag = Annotated[
     float,
-    Meta(description="deceleration by drag per speed through the air (linear drag over mass)", ge=0, le=MAX_DRAG_1_S),
+    about("deceleration by drag per speed through the air (linear drag over mass)", ge=0, le=MAX_DRAG_1_S),
 ]
 
 

@@ -19,7 +19,7 @@ from companion.config.fleet_check import load_fleet
 from companion.config.reference import Reference
 from companion.config.reference_check import reference_problems
 from companion.config.validation import Problem, each
-from companion.config.values import Drag, HoverThrust, NetworkAddress, Section, Text, VehicleId, written
+from companion.config.values import Drag, HoverThrust, NetworkAddress, Section, Text, VehicleId, about, written
 from companion.types.autopilot import AutopilotKind
 from companion.types.flight import Role
 
@@ -155,8 +155,8 @@ MAVLINK_FORMAT = "udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, like ser
 MavlinkEndpoint = Annotated[
     str,
     written("^(udpin|tcp|serial):.+:[0-9]+$", MAVLINK_FORMAT),
-    Meta(
-        description="MAVLink endpoint of the autopilot: `udpin:HOST:PORT` (listen), `tcp:HOST:PORT` (connect) or"
+    about(
+        "MAVLink endpoint of the autopilot: `udpin:HOST:PORT` (listen), `tcp:HOST:PORT` (connect) or"
         " `serial:DEVICE:BAUD`"
     ),
 ]
