@@ -88,7 +88,7 @@ test-fleets: .venv/test.ready
 
 # Failsafes, limits, audit and separation filter.
 COVERED = companion/core/safety/*,companion/core/filter/*
-COVERED_BY = tests/unit/core
+COVERED_BY = tests/unit/core tests/unit/link/test_failing_stages.py
 coverage: .venv/test.ready
 	$(BIN)/coverage run --include '$(COVERED)' -m pytest -q -m "not long" $(COVERED_BY)
 	$(BIN)/coverage report --show-missing --fail-under 100

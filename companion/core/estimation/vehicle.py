@@ -261,7 +261,7 @@ class VehicleTracker:
 def _within(vector: Vector3, limit: float) -> bool:
     """Whether every component is at most `limit` in size. False for NaN."""
     x, y, z = vector
-    return abs(x) <= limit and abs(y) <= limit and abs(z) <= limit
+    return -limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit
 
 
 MAX_OFFSET_M = 100_000.0

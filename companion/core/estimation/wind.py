@@ -11,11 +11,11 @@ attitude, so attitude lag is not taken for a disturbance. The estimate acts on t
 
 from __future__ import annotations
 
-from math import cos, exp, hypot, sin
+from math import cos, exp, sin
 
 from msgspec import Struct
 
-from companion.geometry.vectors import between, clamped
+from companion.geometry.vectors import between, clamped, shortened
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
 THRUST_LAG_S = 0.06  # of the motors, with the transport to them
@@ -126,17 +126,14 @@ class DisturbanceObserver:
         pole = exp(-self._bandwidth_1_s * dt_s)
         to_velocity, to_disturbance = 1.0 - pole**2, (1.0 - pole) ** 2 / dt_s
         (vx, vy, vz), (x, y, z) = motion.velocity_enu_m_s, predicted
-        error_x = clamped(vx - x, LARGEST_INNOVATION_M_S)
-        error_y = clamped(vy - y, LARGEST_INNOVATION_M_S)
-        error_z = clamped(vz - z, LARGEST_INNOVATION_M_S)
+        error_x, error_y, error_z, most = vx - x, vy - y, vz - z, LARGEST_INNOVATION_M_S
+        if not (-most <= error_x <= most and -most <= error_y <= most and -most <= error_z <= most):
+            error_x, error_y, error_z = clamped(error_x, most), clamped(error_y, most), clamped(error_z, most)
         self._velocity_enu_m_s = (x + to_velocity * error_x, y + to_velocity * error_y, z + to_velocity * error_z)
         most = MAX_DISTURBANCE_RATE_M_S3 * dt_s
-        self._add_disturbance(clamped(to_disturbance * error_x, most), clamped(to_disturbance * error_y, most))
+        (x, y, _), dx, dy = self.disturbance_enu_m_s2, to_disturbance * error_x, to_disturbance * error_y
+        if not (-most <= dx <= most and -most <= dy <= most):
+            dx, dy = clamped(dx, most), clamped(dy, most)
+        self.disturbance_enu_m_s2 = shortened((x + dx, y + dy, 0.0), MAX_DISTURBANCE_M_S2)
         share = clamped(to_disturbance * error_z / GRAVITY_M_S2, MAX_HOVER_RATE_1_S * dt_s)
         self.hover_thrust_norm = between(self.hover_thrust_norm * (1.0 - share), *HOVER_RANGE_NORM)
-
-    def _add_disturbance(self, dx_m_s2: float, dy_m_s2: float) -> None:
-        x, y = self.disturbance_enu_m_s2[0] + dx_m_s2, self.disturbance_enu_m_s2[1] + dy_m_s2
-        size = hypot(x, y)
-        scale = MAX_DISTURBANCE_M_S2 / size if size > MAX_DISTURBANCE_M_S2 else 1.0
-        self.disturbance_enu_m_s2 = (x * scale, y * scale, 0.0)

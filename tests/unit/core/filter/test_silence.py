@@ -8,7 +8,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.filter.motion import KEPT_S, Ahead, Motion, Silence, column_m, nearest_on_way
+from common import NOW_S, peer
+from companion.core.consensus.peers import PeerState
+from companion.core.filter.motion import (
+    FORGOTTEN_S,
+    KEPT_S,
+    Ahead,
+    Motion,
+    Motions,
+    Silence,
+    column_m,
+    nearest_on_way,
+)
+from companion.types.autopilot import VehicleState
 from companion.types.values import ZERO3, Vector3
 
 PEER = Silence(0.3, 0.0, KEPT_S, 15.0)
@@ -59,6 +71,20 @@ def test_no_vehicle_coasts_faster_than_this_fleet_flies() -> None:
     """One packet may report any velocity: at 15 m/s a vehicle flies 15 m with its attitude kept, then 60 m."""
     (x, _, _), _, _ = nearest(FAR_AHEAD, ((0.0, 0.0, 5.0), (25.0, 0.0, 0.0), ZERO3), 600.0)
     assert x == pytest.approx(15.0 + 60.0, abs=0.1)
+
+
+def test_an_attitude_that_is_kept_makes_no_vehicle_faster_either() -> None:
+    """14 m/s and 5 m/s^2 are 19 m/s after a second: from there on 15 m/s count."""
+    _, (speed_m_s, _, _), _ = nearest(FAR_AHEAD, ((0.0, 0.0, 5.0), (14.0, 0.0, 0.0), (5.0, 0.0, 0.0)), KEPT_S + 0.001)
+    assert speed_m_s == pytest.approx(15.0, abs=0.1)
+
+
+def test_a_vehicle_that_is_silent_for_ten_minutes_is_forgotten() -> None:
+    vehicle, motions = VehicleState(position_enu_m=(20.0, 0.0, 5.0), position_time_s=NOW_S), Motions(2, PEER)
+    last = peer(1)
+    for age_s, near in ((FORGOTTEN_S - 1.0, [1]), (FORGOTTEN_S + 1.0, [])):
+        known = {1: PeerState(last.packet, NOW_S - age_s, NOW_S - age_s, NOW_S - age_s)}
+        assert [other.key for other in motions.peers(NOW_S, vehicle, True, known, {})] == near
 
 
 METRES = st.floats(-50.0, 50.0)

@@ -19,6 +19,11 @@ def unit(azimuth_rad: float, up: float) -> Vector3:
     return (level * cos(azimuth_rad), level * sin(azimuth_rad), up)
 
 
+def direction(x: float, y: float, z: float) -> Vector3:
+    size = hypot(x, y, z)
+    return (x / size, y / size, z / size)
+
+
 angles = st.floats(-3.1, 3.1)
 normals = st.builds(unit, angles, st.floats(-0.7, 0.7))
 ranks = st.sampled_from([Rank.VEHICLE, Rank.OBSTACLE, Rank.FENCE])
@@ -52,6 +57,14 @@ def test_a_corner_of_two_half_spaces_is_met() -> None:
     assert filter_acceleration(
         (-1.0, -1.0, 0.0), [to_constraint(EAST, 1.0), to_constraint(NORTH, 2.0)], LIMITS
     ) == pytest.approx((1, 2, 0))
+
+
+def test_a_half_space_that_others_make_unnecessary_is_left_again() -> None:
+    """The one that is violated most comes first; in the end the two others alone decide."""
+    wests, ups, first = to_constraint(WEST, 1.9), to_constraint(direction(3, 4, 2), 1.9), direction(-4, 3, -1)
+    u = filter_acceleration((0.0, 0.0, 0.0), [wests, ups, to_constraint(first, 2.4)], LIMITS)
+    assert (along(WEST, u), along(direction(3, 4, 2), u)) == pytest.approx((1.9, 1.9))
+    assert along(first, u) == pytest.approx(3.05, abs=0.01)
 
 
 def test_full_authority_where_more_is_asked_than_the_tilt_allows() -> None:
