@@ -48,7 +48,9 @@ class OutputLimiter:
         if last is None or not _finite(wanted):
             return None
         # After a gap the slew still starts from the last setpoint: without setpoints a vehicle has not turned far.
-        elapsed_s = between(now_s - self._last_s, 0.0, LONGEST_SLEW_S)
+        elapsed_s = now_s - self._last_s
+        if not 0.0 <= elapsed_s <= LONGEST_SLEW_S:
+            elapsed_s = between(elapsed_s, 0.0, LONGEST_SLEW_S)
         # Slewing each angle separately can leave the tilt circle slightly, so the tilt is limited again.
         allowed = self._within_limits(wanted, hover_thrust_norm)
         slewed = self._slewed(last, allowed, elapsed_s, hover_thrust_norm)
