@@ -36,7 +36,7 @@ setup: .venv/fly.ready
 # Real processes need a quiet machine: their tests come first and alone. They mostly wait, so five workers fly them: two the
 # folders with fleets, one flight of each at a time, the others one or two vehicles, file by file. A real-time test that failed
 # while its processes were starved runs once more after the others; one that fails again while the hypervisor takes the
-# processors is NOT JUDGED (decision 0041). Tests in virtual time do not depend on the load of the machine. Tests of one file
+# processors is NOT JUDGED. Tests in virtual time do not depend on the load of the machine. Tests of one file
 # share flights: each file has one worker, and the long ones come first, so that both workers end together.
 VIRTUAL_TESTS = $(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations 25 -m "not long" tests/lockstep tests/unit
 REAL_TIME_TESTS = $(BIN)/pytest -v -n 5 --dist loadscope --no-loadscope-reorder --durations 60 -m "$(KINDS)"

@@ -288,7 +288,7 @@ class FleetConfig(FleetSettings, frozen=True, kw_only=True):
 
     def formation_hash(self) -> int:
         """64 bits over all settings. Vehicles fly together only if theirs are the same."""
-        import hashlib  # here, so that an agent can leave OpenSSL out of it first (cli/without_openssl.py)
+        import hashlib  # here, so that an agent can leave OpenSSL out of it first (cli/agent.py)
 
         digest = hashlib.sha256(msgspec.json.encode(self, order="sorted")).digest()
         return int.from_bytes(digest[:8], "big")

@@ -1,6 +1,6 @@
 """Analysis of a formation before its flight: fleet or scenario file -> figures. `companion analyze` prints them.
 
-The figures are of the linear model (stability/prediction.py): no noise, no saturation.
+The figures are of the linear model (companion/analysis/prediction.py): no noise, no saturation.
 """
 
 from __future__ import annotations

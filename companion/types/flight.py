@@ -84,7 +84,7 @@ class Rule:
 
 P, C = FlightPhase, CommandName
 
-# All commands that change the phase. LEAD, FORMATION and TAKE do not; ABORT becomes one of these.
+# All commands that change the phase. LEAD, FORMATION, REFERENCE and TAKE do not; ABORT becomes one of these.
 RULES: dict[CommandName, Rule] = {
     C.PREPARE: Rule(frozenset({P.OBSERVE}), P.PREPARE, P.READY, P.OBSERVE, True),
     C.ARM: Rule(frozenset({P.READY}), P.ARM, P.ARMED, P.READY, True),

@@ -14,7 +14,7 @@ from companion.types.values import MAX_VEHICLES, Finite, FiniteVector, FleetName
 
 
 class NearestVehicle(Struct, frozen=True, gc=False):
-    """The vehicle with the least room above its required distance, at present. Distances are of `geometry/separation.py`.
+    """The vehicle with the least room above its required distance, at present. In distances a height counts half.
 
     `name` is its id in the fleet, or the name of the traffic. `required_m` is `separation_m` with all margins.
     """

@@ -1,4 +1,4 @@
-"""The messages of vehicles and ground but for peer packets: reports, commands, replies, targets, traffic. MessagePack maps.
+"""The messages of vehicles and ground: peer packets, reports, commands, replies, targets, traffic, in MessagePack.
 
 The first byte of every message is the wire version; MessagePack follows. So a receiver can distinguish another version from a
 damaged message, whatever the format of that version. Maps are easily written in any language, as a sender of targets or a

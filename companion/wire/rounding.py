@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from companion.geometry.vectors import rounded
 from companion.types.autopilot import AttitudeTarget, PositionError
 from companion.types.formation import FlownSlot, Heading, LeaderBeacon
-from companion.types.peers import LeaderReport, Motion, PeerPacket
+from companion.types.peers import PeerPacket
 from companion.types.status import SeparationReport, Status
 from companion.types.tick import Outbox
 from companion.types.values import Vector3
@@ -52,14 +52,15 @@ def _round_packet(packet: PeerPacket) -> PeerPacket:
     motion, beacon, error, rft = packet.motion, packet.leader.beacon, packet.position_error, packet.rft
     return replace(
         packet,
-        motion=Motion(
+        motion=replace(
+            motion,
             position_enu_m=rounded(motion.position_enu_m, LENGTH),
             velocity_enu_m_s=rounded(motion.velocity_enu_m_s, VELOCITY),
             acceleration_enu_m_s2=rounded(motion.acceleration_enu_m_s2, ACCELERATION),
             state_age_s=round(motion.state_age_s, TIME),
             sent_s=round(motion.sent_s, TIME),
         ),
-        leader=LeaderReport(packet.leader.prc, _beacon(beacon) if beacon else None),
+        leader=replace(packet.leader, beacon=_beacon(beacon) if beacon else None),
         slot=_slot(packet.slot),
         position_error=_error(error) if error else None,
         rft=_motion(*rft) if rft else None,
@@ -101,8 +102,13 @@ def _motion(
 
 
 def _slot(slot: FlownSlot) -> FlownSlot:
-    motion = _motion(slot.position_enu_m, slot.velocity_enu_m_s, slot.acceleration_enu_m_s2)
-    return FlownSlot(*motion, slot.formation, slot.waiting, round(slot.moves_for_s, TIME))
+    return replace(
+        slot,
+        position_enu_m=rounded(slot.position_enu_m, LENGTH),
+        velocity_enu_m_s=rounded(slot.velocity_enu_m_s, VELOCITY),
+        acceleration_enu_m_s2=rounded(slot.acceleration_enu_m_s2, ACCELERATION),
+        moves_for_s=round(slot.moves_for_s, TIME),
+    )
 
 
 def _beacon(beacon: LeaderBeacon) -> LeaderBeacon:

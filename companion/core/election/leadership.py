@@ -28,7 +28,7 @@ class Leadership:
     follower, even a leader that missed the command or restarted: the leader of that term knows its role. A received term
     without a leader that is alive ends after UNCONFIRMED_S, with the role before. Only a leader raises stamps: a beacon that
     vehicles pass to each other proves nothing, however young it is on its way. A command may raise the epoch by
-    NUMBERS_AHEAD; `core/consensus/neighbourhood.py` allows peer packets less. A command may also name an epoch so far below
+    NUMBERS_AHEAD; `core/consensus/stage.py` allows peer packets less. A command may also name an epoch so far below
     that peers of the epoch left are not believed: the own one was wrong, and so one command reaches every vehicle.
 
     Terms are ordered: within an epoch a command beats a claim, and a better rank beats a worse one. Ranks are unique, so a
@@ -67,7 +67,7 @@ class Leadership:
         return accept(Code.ROLE_CHANGED, f"{self.role} in epoch {self.epoch}"), events
 
     def claim(self, rank: int) -> tuple[Notice, ...]:
-        """Become leader of the next epoch as the successor of this rank; `core/election/succession.py` decides when."""
+        """Become leader of the next epoch as the successor of this rank; `Succession` decides when."""
         if self.epoch >= MAX_EPOCH:
             return ()
         return self._enter((self.epoch + 1, -rank), Role.LEADER, f"successor {rank} of a lost leader")

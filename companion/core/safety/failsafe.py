@@ -117,7 +117,7 @@ FAILSAFES: tuple[Failsafe, ...] = (
     Failsafe(C.ESTIMATOR_BAD, "next estimator status", (WARN, Step(A.HOLD, 1.0)), "a good estimator status"),
     # Autopilots overshoot the commanded limit, and gusts add to it. PX4 waits 0.3 s as well (FD_FAIL_R_TTRI).
     Failsafe(C.TILT_EXCEEDED, "`max_tilt_deg` and {} deg", (WARN, Step(A.HOLD, 0.3)), "less tilt", limit=10.0),
-    # Five periods of 50 Hz; in the air at most a few milliseconds are usual (docs/latency.md).
+    # Five periods of 50 Hz; in the air at most a few milliseconds are usual (docs/performance.md).
     Failsafe(
         C.TICK_LATE,
         "a tick {} s late",
