@@ -134,10 +134,7 @@ class Simulation:
         self.slots_enu_m = laws.slots_by_vehicle_enu_m
         self.references = References(scenarios, columns, laws.is_leader)
         self._autopilots = Autopilots(
-            scenarios,
-            columns,
-            columns.in_columns(start.positions_enu_m),
-            columns.in_columns(start.velocities_enu_m_s),
+            scenarios, columns, columns.in_columns(start.positions_enu_m), columns.in_columns(start.velocities_enu_m_s)
         )
         all_columns = slice(0, columns.count)
         self._agents = Agents(

@@ -46,20 +46,13 @@ def add_flight_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_run(parser: argparse.ArgumentParser) -> None:
     add_flight_arguments(parser)
-    parser.add_argument(
-        "--record",
-        action="store_true",
-        help="leave the recordings of the agents, as `sitl fly` does",
-    )
+    parser.add_argument("--record", action="store_true", help="leave the recordings of the agents, as `sitl fly` does")
 
 
 def _add_fly(parser: argparse.ArgumentParser) -> None:
     add_flight_arguments(parser)
     parser.add_argument(
-        "--external",
-        type=Path,
-        metavar="FILE",
-        help="start no stand-ins: fly the external autopilots of this file",
+        "--external", type=Path, metavar="FILE", help="start no stand-ins: fly the external autopilots of this file"
     )
     add_port_offset(parser)
 

@@ -38,10 +38,7 @@ def _add_autopilot(parser: argparse.ArgumentParser) -> None:
         "--truth", type=Path, nargs="+", metavar="CSV", help="write true states at 50 Hz, a file per vehicle"
     )
     parser.add_argument(
-        "--seconds",
-        type=number("seconds above 0", ABOVE_0, BELOW_INFINITY),
-        metavar="S",
-        help="end after S seconds",
+        "--seconds", type=number("seconds above 0", ABOVE_0, BELOW_INFINITY), metavar="S", help="end after S seconds"
     )
 
 

@@ -14,6 +14,7 @@ from companion.config.values import MAX_DRAG_1_S, VehicleId
 from companion.config.vehicle import DatagramEndpoints, RecordingSettings, VehicleConfig, ZenohEndpoints
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import AutopilotKind
+from sitl.autopilots.autopilot import known_or
 from sitl.autopilots.types import AUTOPILOT_TYPES, hover_thrust_norm
 from sitl.flight.external import ReachedVehicle
 from sitl.flight.scenario import Scenario
@@ -89,7 +90,7 @@ def reached_stand_in(scenario: Scenario, vehicle_id: int, port_offset: int) -> R
 
 def known_drag_1_s(scenario: Scenario) -> float:
     """The drag in the vehicle files of a scenario that flies stand-ins."""
-    return _first(scenario.assumed.drag_1_s, _drag_1_s(scenario))
+    return known_or(scenario.assumed.drag_1_s, _drag_1_s(scenario))
 
 
 def _drag_1_s(scenario: Scenario) -> float:
@@ -106,8 +107,8 @@ def vehicle_file(scenario: Scenario, reached: ReachedVehicle, port_offset: int) 
         fleet="fleet.yaml",
         mavlink=reached.mavlink,
         autopilot=reached.autopilot,
-        hover_thrust_norm=_first(assumed.hover_thrust_norm, reached.hover_thrust_norm),
-        drag_1_s=_first(assumed.drag_1_s, reached.drag_1_s),
+        hover_thrust_norm=known_or(assumed.hover_thrust_norm, reached.hover_thrust_norm),
+        drag_1_s=known_or(assumed.drag_1_s, reached.drag_1_s),
         zenoh=_zenoh_endpoints(scenario, vehicle_id, port_offset),
         datagrams=_datagram_endpoints(scenario, vehicle_id, port_offset),
         reference=scenario.reference if member.can_lead else None,
@@ -127,7 +128,7 @@ def _zenoh_endpoints(scenario: Scenario, vehicle_id: int, port_offset: int) -> Z
     """None for the addresses of the fleet file; on disturbed links the agents reach each other through the emulated network."""
     if not scenario.links.disturb_peers:
         return None
-    reached = {i: _peer_address(scenario, i, vehicle_id, port_offset) for i in ids_of(scenario)}
+    reached = _peer_addresses(scenario, vehicle_id, port_offset)
     return ZenohEndpoints(
         listen=(zenoh_endpoint(vehicle_id, port_offset),),
         connect=tuple(f"tcp/{address}" for i, address in reached.items() if i < vehicle_id),
@@ -137,21 +138,15 @@ def _zenoh_endpoints(scenario: Scenario, vehicle_id: int, port_offset: int) -> Z
 def _datagram_endpoints(scenario: Scenario, vehicle_id: int, port_offset: int) -> DatagramEndpoints | None:
     if scenario.links.peer_transport == "tcp":
         return None
-    reached = {i: _peer_address(scenario, i, vehicle_id, port_offset) for i in ids_of(scenario)}
-    return DatagramEndpoints(
-        listen=f"{LOOPBACK}:{ports_of(vehicle_id, port_offset).zenoh}",
-        send_to=tuple(address for i, address in reached.items() if i != vehicle_id),
-    )
+    send_to = tuple(_peer_addresses(scenario, vehicle_id, port_offset).values())
+    return DatagramEndpoints(listen=f"{LOOPBACK}:{ports_of(vehicle_id, port_offset).zenoh}", send_to=send_to)
 
 
-def _peer_address(scenario: Scenario, receiving_id: int, sending_id: int, port_offset: int) -> str:
-    """Directly, or over the emulated network where the links are disturbed."""
-    host = emulated_host(receiving_id, sending_id) if scenario.links.disturb_peers else LOOPBACK
-    return f"{host}:{ports_of(receiving_id, port_offset).zenoh}"
-
-
-def _first(assumed: float | None, true: float) -> float:
-    return true if assumed is None else assumed
+def _peer_addresses(scenario: Scenario, sending_id: int, port_offset: int) -> dict[int, str]:
+    """Of all other agents by id: directly, or over the emulated network where the links are disturbed."""
+    others = [i for i in ids_of(scenario) if i != sending_id]
+    hosts = {i: emulated_host(i, sending_id) if scenario.links.disturb_peers else LOOPBACK for i in others}
+    return {i: f"{host}:{ports_of(i, port_offset).zenoh}" for i, host in hosts.items()}
 
 
 def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:

@@ -210,7 +210,7 @@ def summarize(
 def _vehicle(
     vehicle_id: int, role: str, watch: FlightWatch, figures: FormationFigures | None, tracked: Tracking | None
 ) -> VehicleSummary:
-    timing = watch.timing.get(vehicle_id)
+    timing, status = watch.timing.get(vehicle_id), watch.status(vehicle_id)
     return VehicleSummary(
         id=vehicle_id,
         role=role,
@@ -224,7 +224,7 @@ def _vehicle(
         tracking_error_m=_rounded(tracked.to_reference_m[vehicle_id] if tracked else None),
         behind_leader_m=_rounded(tracked.to_leader_m[vehicle_id] if tracked else None),
         largest_step_deg=_rounded(watch.largest_step_deg.get(vehicle_id), 2),
-        rejected=watch.rejected()[vehicle_id],
+        rejected=status.rejected if status else {},
     )
 
 

@@ -135,7 +135,7 @@ class _Flight:
 def _left_in_the_air(watch: FlightWatch, lost: set[int]) -> list[str]:
     """External vehicles that are not on the ground, and why, one line each."""
     lines = []
-    if alone := [i for i in sorted(lost) if watch.is_armed(i)]:
+    if alone := [status.vehicle_id for status in watch.statuses() if status.armed and status.vehicle_id in lost]:
         lines.append(
             f"{vehicles_in_words(alone)} left armed, without an agent that could land it: use a ground station"
         )

@@ -60,11 +60,7 @@ class FleetProcesses:
 
     @classmethod
     def start(
-        cls,
-        scenario: Scenario,
-        folder: Path,
-        port_offset: int,
-        external: Mapping[int, ReachedVehicle] | None = None,
+        cls, scenario: Scenario, folder: Path, port_offset: int, external: Mapping[int, ReachedVehicle] | None = None
     ) -> FleetProcesses:
         """Write every process's file into `folder` and start it, stand-ins first; `external` autopilots need no stand-in."""
         write_files(scenario, folder, port_offset, external)
@@ -79,7 +75,7 @@ class FleetProcesses:
         fleet = cls([])
         try:
             if network_path(folder).exists():
-                fleet._start_network(folder)
+                fleet._spawn("network", (), "sitl.links.emulated_network", str(network_path(folder)), folder=folder)
             for ids in stand_ins:
                 fleet._start_stand_ins(folder, ids, port_offset)
             for vehicle_id in ids_of(scenario):
@@ -88,9 +84,6 @@ class FleetProcesses:
             fleet.kill()
             raise
         return fleet
-
-    def _start_network(self, folder: Path) -> None:
-        self._spawn("network", (), "sitl.links.emulated_network", str(network_path(folder)), folder=folder)
 
     def _start_stand_ins(self, folder: Path, ids: Sequence[int], port_offset: int) -> None:
         name = f"autopilot {ids[0]}" if len(ids) == 1 else f"autopilots {ids[0]} to {ids[-1]}"

@@ -79,17 +79,11 @@ class FlightWatch:
             self.timing_received_s[vehicle_id] = now_s
         if vehicle_id in self._entered_s:
             self.largest_step_deg[vehicle_id] = status.largest_step_deg
-        if vehicle_id in self._entered_s and report.timing.ticks:
-            self.timing[vehicle_id] = report.timing
-        if status.last_event and (before is None or status.last_event != before.last_event):
-            self.events.append(
-                ReportedEvent(
-                    time_s=round(now_s - self.began_s, 3),
-                    vehicle=vehicle_id,
-                    code=status.last_event.code,
-                    event=status.last_event.text,
-                )
-            )
+            if report.timing.ticks:
+                self.timing[vehicle_id] = report.timing
+        event, time_s = status.last_event, round(now_s - self.began_s, 3)
+        if event and (before is None or event != before.last_event):
+            self.events.append(ReportedEvent(time_s=time_s, vehicle=vehicle_id, code=event.code, event=event.text))
 
     def _follow_position(self, status: Status, now_s: float) -> None:
         reported, time_s = self.reported[status.vehicle_id], now_s - status.state_age_s
@@ -127,14 +121,10 @@ class FlightWatch:
 
     def leads(self) -> Leadership:
         """When each vehicle was leader, as it reported."""
-        return {
-            i: [
-                (self.began_s + change.time_s, change.role is Role.LEADER)
-                for change in self.topology
-                if change.vehicle == i
-            ]
-            for i in self.vehicle_ids
-        }
+        leads: dict[int, list[tuple[float, bool]]] = {i: [] for i in self.vehicle_ids}
+        for change in self.topology:
+            leads[change.vehicle].append((self.began_s + change.time_s, change.role is Role.LEADER))
+        return leads
 
     def reported_reference(self) -> ReferenceTrajectory:
         """The RFT as leaders reported it, interpolated linearly."""
@@ -187,19 +177,10 @@ class FlightWatch:
         """The newest status of each vehicle that ever reported, by id."""
         return [status for i in self.vehicle_ids if (status := self.status(i))]
 
-    def is_armed(self, vehicle_id: int) -> bool:
-        """By its newest status."""
-        status = self.status(vehicle_id)
-        return status is not None and status.armed
-
     def flown_by_others(self) -> set[int]:
         """Vehicles in the air whose agent only observes: a pilot or an autopilot failsafe flies them."""
-        statuses = {i: status for i in self.vehicle_ids if (status := self.status(i)) and status.armed}
-        return {
-            i
-            for i, status in statuses.items()
-            if status.phase is FlightPhase.OBSERVE and status.landed is not LandedState.ON_GROUND
-        }
+        observing = [status for status in self.statuses() if status.armed and status.phase is FlightPhase.OBSERVE]
+        return {status.vehicle_id for status in observing if status.landed is not LandedState.ON_GROUND}
 
     def vehicles_at(self, now_s: float) -> list[ReportedVehicle]:
         return vehicles_at(self._state, now_s)
@@ -235,11 +216,6 @@ class FlightWatch:
         timings = self.newest_timing.values()
         ticks, missed = sum(t.ticks for t in timings), sum(t.missed for t in timings)
         return overload(ticks, missed, max((t.telemetry_to_command_us.p99 for t in timings), default=0.0))
-
-    def rejected(self) -> Mapping[int, dict[str, int]]:
-        """Rejected input of each vehicle, counted by reason."""
-        statuses = {vehicle_id: self.status(vehicle_id) for vehicle_id in self.vehicle_ids}
-        return {vehicle_id: status.rejected if status else {} for vehicle_id, status in statuses.items()}
 
 
 def watch_of(scenario: Scenario, began_s: float) -> FlightWatch:

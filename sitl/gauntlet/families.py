@@ -17,16 +17,7 @@ from companion.geometry.formations import SHAPES, slots_of
 from companion.ground.changes import assign_slots
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import Vector3
-from sitl.gauntlet.fleets import (
-    START_SPACING,
-    DrawnFleet,
-    direction,
-    moved,
-    on_grid,
-    scattered,
-    suited_starts,
-    to_thousandth,
-)
+from sitl.gauntlet.fleets import START_SPACING, DrawnFleet, direction, moved, on_grid, scattered, to_thousandth
 
 FORM_S = 8.5  # by then all hover
 GIVEN_UP_AFTER_S = 3.0  # a command is repeated for so long
@@ -93,7 +84,8 @@ def shape_change(random: Random, fleet: DrawnFleet) -> Content:
 def form_near(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """Random starts within several metres of the slots, each vehicle with the slot that suits its start."""
     starts = scattered(random, fleet.size, START_SPACING * fleet.separation_m)
-    fleet.starts_enu_m = suited_starts(starts, fleet.slots_enu_m)
+    # So that few straight paths to the slots cross, as an operator would place them.
+    fleet.starts_enu_m = assign_slots(fleet.slots_enu_m, starts)
     return FamilyPlan(slow(random, fleet))
 
 

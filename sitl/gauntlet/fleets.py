@@ -17,7 +17,6 @@ import msgspec
 from companion.config.fleet import FleetConfig, LawName
 from companion.config.planned_flight import DEFAULT_ORIGIN
 from companion.geometry.formations import SHAPES, slots_of
-from companion.ground.changes import assign_slots
 from companion.types.autopilot import AutopilotKind
 from companion.types.flight import Role
 from companion.types.values import Vector3
@@ -145,11 +144,6 @@ def scattered(random: Random, count: int, apart_m: float, taken: Sequence[Vector
         if all(dist(point[:2], other[:2]) >= apart_m for other in (*points, *taken)):
             points.append(point)
     return points
-
-
-def suited_starts(starts_enu_m: Sequence[Vector3], slots_enu_m: Mapping[int, Vector3]) -> dict[int, Vector3]:
-    """A start for each vehicle, assigned so that few straight paths to the slots cross, as an operator would place them."""
-    return assign_slots(slots_enu_m, starts_enu_m)
 
 
 def direction(random: Random, length_m: float) -> Vector3:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from operator import itemgetter
 from pathlib import Path
 
 import msgspec
@@ -215,13 +216,8 @@ def write_worst(
 def worst_of(outcomes: Sequence[FlightOutcome]) -> list[FlightOutcome]:
     """Flights with an exception first, then those with the smallest ratio for their sensors."""
     failed = [outcome for outcome in outcomes if outcome.exception]
-    ranked = sorted((o for o in outcomes if o.ratio is not None), key=_share_of_limit)
-    return [*failed, *ranked][:KEPT]
-
-
-def _share_of_limit(outcome: FlightOutcome) -> float:
-    assert outcome.ratio is not None
-    return outcome.ratio / SENSOR_FACTOR[outcome.sensors]
+    shares = [(o.ratio / SENSOR_FACTOR[o.sensors], o) for o in outcomes if o.ratio is not None]
+    return [*failed, *(outcome for _, outcome in sorted(shares, key=itemgetter(0)))][:KEPT]
 
 
 def line_of(outcome: FlightOutcome) -> str:

@@ -8,16 +8,7 @@ from math import inf
 import numpy as np
 
 from companion.config.fleet import LawName
-from sitl.paper.flights import (
-    COMPARED,
-    PERFECT,
-    Book,
-    FlightSubject,
-    FlownPlan,
-    Model,
-    response_s,
-    results,
-)
+from sitl.paper.flights import COMPARED, PERFECT, Book, FlightSubject, FlownPlan, Model, response_s, results
 from sitl.paper.words import claim_of, join_words, metres, seconds, verdict_of
 from sitl.report.claim import Claim
 from sitl.report.metrics import distances_m, settle_time_s

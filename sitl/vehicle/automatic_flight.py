@@ -92,18 +92,13 @@ class AutomaticFlight:
         self._home: Vector3 = quad.origin
         self._stage = Stage.CLIMB
         self._waited_s = 0.0
-        self._landing = False
-
-    @property
-    def landing(self) -> bool:
-        """Whether it descends to the ground, in a landing or at the end of a return."""
-        return self._landing
+        self.landing = False  # it descends to the ground, in a landing or at the end of a return
 
     def enter(self, task: Task, home_deg_deg_m: Vector3, takeoff_altitude_amsl_m: float | None) -> None:
         """Begin this task here. Without a take-off altitude the height is that of `speeds`."""
         self._task = task
         self._home = home_deg_deg_m
-        self._stage, self._waited_s, self._landing = Stage.CLIMB, 0.0, False
+        self._stage, self._waited_s, self.landing = Stage.CLIMB, 0.0, False
         self._control.stop(
             self._quad.estimated_position_local_enu_m(),
             self._quad.estimated_velocity_enu_m_s(),
@@ -114,7 +109,7 @@ class AutomaticFlight:
         if task is Task.TAKE_OFF:
             self._climb_to(takeoff_altitude_amsl_m, speeds)
         elif task is Task.LAND:
-            self._landing = True
+            self.landing = True
         elif task is Task.RETURN:
             self._return(speeds)
 
@@ -166,9 +161,9 @@ class AutomaticFlight:
         position = self._quad.estimated_position_local_enu_m()
         if self._task is Task.SINK:
             return self._sink(self._quad.estimated_velocity_enu_m_s()[2], self._quad.estimated_euler_rad()[2])
-        if self._task is Task.RETURN and not self._landing:
+        if self._task is Task.RETURN and not self.landing:
             self._follow_return(position, dt_s)
-        if self._landing:
+        if self.landing:
             self._descend(position[2])
         return self._control_setpoint(dt_s)
 
@@ -219,7 +214,7 @@ class AutomaticFlight:
             up.goal_m = min(up.goal_m, home_z + speeds.return_wait_height_m)
         elif self._stage is Stage.WAIT and at_height:
             self._waited_s += dt_s
-            self._landing = self._waited_s > speeds.return_wait_s
+            self.landing = self._waited_s > speeds.return_wait_s
 
     def _descend(self, z_m: float) -> None:
         """Descend, more slowly near the ground."""

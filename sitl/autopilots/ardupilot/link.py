@@ -123,13 +123,10 @@ class ArduPilotReceiver(Receiver):
             self._copter.send_text(WARNING, f"No such mode {number}")
             yield FAILED
         else:
-            yield from self._to(CopterMode(number))
+            yield from self._enter_mode(CopterMode(number).name)
 
     def _enter_mode(self, name: str) -> Iterator[int]:
-        yield from self._to(CopterMode[name])
-
-    def _to(self, mode: CopterMode) -> Iterator[int]:
-        refusal = self._copter.set_mode(mode)
+        refusal = self._copter.set_mode(CopterMode[name])
         if refusal:
             self._copter.send_text(WARNING, refusal)
         yield FAILED if refusal else ACCEPTED

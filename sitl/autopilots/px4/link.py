@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import partial
 from math import inf, isfinite, nan, sqrt
+from sys import float_info
 
 from companion.geometry.frames import (
     Quaternion,
@@ -55,6 +56,7 @@ GROUND_RATES_HZ = rates_by_id(DATA.ground_rates_hz)  # once its peer has connect
 HEARTBEAT_ONLY = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
 SILENT = frozenset(message_ids(DATA.silent))
 SETTABLE = (frozenset(ONBOARD_RATES_HZ) | SILENT) - {mavlink.MAVLINK_MSG_ID_HEARTBEAT}
+BODY_RATES = ("body_roll_rate", "body_pitch_rate", "body_yaw_rate")
 ABOVE_SEA_LEVEL = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 
 
@@ -66,7 +68,7 @@ def setpoint_of(message: MavlinkMessage, attitude: Quaternion) -> AttitudeSetpoi
     thrust = message.thrust
     falls = message.type_mask & IGNORE_THROTTLE or not isfinite(thrust) or thrust < 0.0
     thrust = 0.0 if falls else min(thrust, 1.0)
-    rates = flu_from_frd(_given_rates(message))
+    rates = flu_from_frd(_given(message, BODY_RATES, IGNORE_RATES, float_info.max, 0.0))
     if message.type_mask & IGNORE_ATTITUDE:
         if message.type_mask & (IGNORE_RATES[0] | IGNORE_RATES[1]):
             return None
@@ -80,21 +82,13 @@ def setpoint_of(message: MavlinkMessage, attitude: Quaternion) -> AttitudeSetpoi
     )  # fed forward, about the vertical
 
 
-def _given(values: Vector3, ignored: tuple[int, int, int], mask: int) -> Vector3:
-    x, y, z = (
-        value if not mask & bit and abs(value) <= MAX_DISTANCE_M else nan
-        for value, bit in zip(values, ignored, strict=True)
-    )
+def _given(
+    message: MavlinkMessage, names: Sequence[str], ignored: Sequence[int], most: float, default: float
+) -> Vector3:
+    """Three fields of a setpoint; `default` for one that is masked, larger than `most` or not finite."""
+    fields = zip((getattr(message, name) for name in names), ignored, strict=True)
+    x, y, z = (default if message.type_mask & bit or not abs(value) <= most else value for value, bit in fields)
     return (x, y, z)
-
-
-def _given_rates(message: MavlinkMessage) -> Vector3:
-    """Body rates FRD of a SET_ATTITUDE_TARGET; zero if masked or not finite."""
-    mask, rates = message.type_mask, (message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate)
-    p, q, r = (
-        0.0 if mask & ignored or not isfinite(rate) else rate for ignored, rate in zip(IGNORE_RATES, rates, strict=True)
-    )
-    return (p, q, r)
 
 
 def _unit(q: Sequence[float]) -> Quaternion | None:
@@ -199,9 +193,8 @@ class Px4Receiver(Receiver):
 
     def _course_of(self, message: MavlinkMessage) -> Course | None:
         """Accelerations are not followed."""
-        mask = message.type_mask
-        position = _given((message.x, message.y, message.z), IGNORE_POSITION, mask)
-        velocity = _given((message.vx, message.vy, message.vz), IGNORE_VELOCITY, mask)
+        position = _given(message, ("x", "y", "z"), IGNORE_POSITION, MAX_DISTANCE_M, nan)
+        velocity = _given(message, ("vx", "vy", "vz"), IGNORE_VELOCITY, MAX_DISTANCE_M, nan)
         if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED or not any(map(isfinite, (*position, *velocity))):
             return None
         yaw_rad, yaw_rate_rad_s = turn_of(message)
