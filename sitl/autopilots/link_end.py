@@ -43,49 +43,32 @@ EPSILON_S = 1e-6
 
 
 class Receiver(ABC):
-    """Incoming messages of one link. `receive` yields the answers on the same link."""
+    """Incoming messages of one link. `receive` yields the answers on the same link.
+
+    `_on_heartbeat` handles HEARTBEAT, and so on. A receiver without such a method ignores the message.
+    """
 
     logs: LogTransfer
     UNKNOWN_MESSAGE: ClassVar[int]  # MAV_RESULT of a request for it
     TEXT_ENDS_WITH: ClassVar[str] = ""
 
     def __init__(self, autopilot: Autopilot, schedule: Schedule) -> None:
-        """The receiver of a type adds the messages of its log transfer."""
+        """The receiver of a type adds its log transfer and its commands."""
         self._autopilot = autopilot
         self._schedule = schedule
         self._text_id = 0
         self.ground_station_s: float | None = None  # when its HEARTBEAT last came on this link
-        self._messages: dict[str, Handler] = {
-            "HEARTBEAT": self._heartbeat,
-            "COMMAND_LONG": self._command_long,
-            "PARAM_REQUEST_LIST": self._param_list,
-            "PARAM_REQUEST_READ": self._param_read,
-            "PARAM_SET": self._param_set,
-            "MISSION_REQUEST_LIST": self._mission_list,
-            "MISSION_COUNT": self._mission_count,
-            "MISSION_REQUEST": self._no_such_item,
-            "MISSION_REQUEST_INT": self._no_such_item,
-            "MISSION_CLEAR_ALL": self._mission_cleared,
-            "TIMESYNC": self._timesync,
-            "PING": self._ping,
-            "FILE_TRANSFER_PROTOCOL": self._file_transfer,
-            "SET_MODE": self._set_mode_message,
-            "SET_ATTITUDE_TARGET": self._take_setpoint,
-            "SET_POSITION_TARGET_LOCAL_NED": self._take_setpoint,
-        }
         self._commands: dict[int, Callable[[list[float]], Iterator[int]]] = {  # results in their order
             M.MAV_CMD_DO_SET_MODE: self._do_set_mode,
-            M.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
-            M.MAV_CMD_NAV_TAKEOFF: self._take_off,
             M.MAV_CMD_NAV_LAND: lambda _p: self._enter_mode("LAND"),
             M.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _p: self._enter_mode("RTL"),
             M.MAV_CMD_NAV_LOITER_UNLIM: lambda _p: self._enter_mode("LOITER"),
-            M.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
         }
 
     def receive(self, message: MavlinkMessage) -> Answers:
-        """Answers to one message. Messages for other targets are ignored silently."""
-        handler = self._messages.get(message.get_type())
+        """Answers to one message, by the method with its name. Messages for other targets are ignored silently."""
+        name = message.get_type()
+        handler: Handler | None = self.logs.requests.get(name) or getattr(self, f"_on_{name.lower()}", None)
         if handler is not None and self._is_for_it(message):
             yield from handler(message) or ()
 
@@ -105,14 +88,14 @@ class Receiver(ABC):
 
     # ------------------------------------------------------------ messages
 
-    def _heartbeat(self, message: MavlinkMessage) -> None:
+    def _on_heartbeat(self, message: MavlinkMessage) -> None:
         if self._is_of_ground_station(message):
             self.ground_station_s = self._autopilot.ground_station_s = self._autopilot.time_s
 
     @abstractmethod
     def _is_of_ground_station(self, heartbeat: MavlinkMessage) -> bool: ...
 
-    def _command_long(self, message: MavlinkMessage) -> Answers:
+    def _on_command_long(self, message: MavlinkMessage) -> Answers:
         yield from self._command(message, [getattr(message, f"param{i}") for i in range(1, 8)])
 
     def _command(self, message: MavlinkMessage, parameters: list[float]) -> Answers:
@@ -136,7 +119,7 @@ class Receiver(ABC):
         for result in handler(parameters):
             yield self._ack(message, result)
 
-    def _set_mode_message(self, message: MavlinkMessage) -> None:
+    def _on_set_mode(self, message: MavlinkMessage) -> None:
         """SET_MODE is not answered."""
         for _ in self._do_set_mode([1.0, *self._mode_parameters(message.custom_mode)]):
             pass
@@ -150,6 +133,8 @@ class Receiver(ABC):
             self._autopilot.stop()
         else:
             self._autopilot.take_setpoint(setpoint)
+
+    _on_set_attitude_target = _on_set_position_target_local_ned = _take_setpoint
 
     @abstractmethod
     def _attitude_of(self, message: MavlinkMessage) -> AttitudeSetpoint | None:
@@ -172,24 +157,15 @@ class Receiver(ABC):
     def _enter_mode(self, name: str) -> Iterator[int]:
         """Enter the mode with this name, if the autopilot allows it."""
 
-    @abstractmethod
-    def _arm_disarm(self, parameters: list[float]) -> Iterator[int]: ...
-
-    @abstractmethod
-    def _take_off(self, parameters: list[float]) -> Iterator[int]: ...
-
-    @abstractmethod
-    def _set_interval(self, parameters: list[float]) -> Iterator[int]: ...
-
     def _ack(self, message: MavlinkMessage, result: int) -> MavlinkMessage:
         return M.MAVLink_command_ack_message(
             message.command, result, 255, 0, message.get_srcSystem(), message.get_srcComponent()
         )
 
-    def _param_list(self, _message: MavlinkMessage) -> Answers:
+    def _on_param_request_list(self, _message: MavlinkMessage) -> Answers:
         yield from self._autopilot.parameters.messages()
 
-    def _param_read(self, message: MavlinkMessage) -> Answers:
+    def _on_param_request_read(self, message: MavlinkMessage) -> Answers:
         name = message.param_id
         if message.param_index >= 0:
             name = self._autopilot.parameters.name_at(message.param_index)
@@ -197,51 +173,37 @@ class Receiver(ABC):
         if reply:
             yield reply
 
-    def _param_set(self, message: MavlinkMessage) -> Answers:
+    def _on_param_set(self, message: MavlinkMessage) -> Answers:
         name = message.param_id
         self._autopilot.parameters.set_from_wire(name, message.param_value, message.param_type)
         if name in self._autopilot.parameters.values:
             yield self._autopilot.parameters.message(name)
 
-    def _mission_list(self, message: MavlinkMessage) -> Answers:
+    def _on_mission_request_list(self, message: MavlinkMessage) -> Answers:
         yield M.MAVLink_mission_count_message(
             message.get_srcSystem(), message.get_srcComponent(), 0, message.mission_type
         )
 
-    def _mission_count(self, message: MavlinkMessage) -> Answers:
+    def _on_mission_count(self, message: MavlinkMessage) -> Answers:
         """An upload: only an empty mission is accepted."""
         yield self._mission_ack(message, M.MAV_MISSION_NO_SPACE if message.count else M.MAV_MISSION_ACCEPTED)
 
-    def _mission_cleared(self, message: MavlinkMessage) -> Answers:
+    def _on_mission_clear_all(self, message: MavlinkMessage) -> Answers:
         yield self._mission_ack(message, M.MAV_MISSION_ACCEPTED)
 
-    def _no_such_item(self, message: MavlinkMessage) -> Answers:
+    def _on_mission_request(self, message: MavlinkMessage) -> Answers:
         yield self._mission_ack(message, M.MAV_MISSION_INVALID_SEQUENCE)
+
+    _on_mission_request_int = _on_mission_request
 
     def _mission_ack(self, message: MavlinkMessage, result: int) -> MavlinkMessage:
         return M.MAVLink_mission_ack_message(
             message.get_srcSystem(), message.get_srcComponent(), result, message.mission_type
         )
 
-    def _timesync(self, message: MavlinkMessage) -> Answers:
+    def _on_timesync(self, message: MavlinkMessage) -> Answers:
         if message.tc1 == 0:
             yield M.MAVLink_timesync_message(self._autopilot.boot_ms * 1_000_000, message.ts1)
-
-    def _ping(self, message: MavlinkMessage) -> Answers:
-        if message.target_system == 0:
-            yield M.MAVLink_ping_message(
-                message.time_usec, message.seq, message.get_srcSystem(), message.get_srcComponent()
-            )
-
-    def _file_transfer(self, message: MavlinkMessage) -> Answers:
-        """There are no files: NAK, so that a client continues without them."""
-        request = bytes(message.payload)
-        reply = bytearray(251)
-        sequence = int.from_bytes(request[:2], "little") + 1
-        reply[:2] = (sequence & 0xFFFF).to_bytes(2, "little")
-        reply[2] = request[2]  # the session, by which MAVProxy matches answers
-        reply[3], reply[4], reply[5], reply[12] = 129, 1, request[3], 10  # NAK, one byte: file not found
-        yield M.MAVLink_file_transfer_protocol_message(0, message.get_srcSystem(), message.get_srcComponent(), reply)
 
 
 def turn_of(message: MavlinkMessage) -> tuple[float, float]:
@@ -311,6 +273,7 @@ class LinkEnd:
         self._autopilot = autopilot
         self._codec = codec
         self._origin_sent: int | None = None  # the number of the change
+        self.sends_changes = True
         self.schedule = schedule
         self.receiver = receiver
 
@@ -338,7 +301,7 @@ class LinkEnd:
     @property
     def has_changes(self) -> bool:
         """Whether `changes` yields something."""
-        return self._sends_changes() and self._origin_sent != self._autopilot.origin_changes
+        return self.sends_changes and self._origin_sent != self._autopilot.origin_changes
 
     def changes(self) -> Iterator[bytes]:
         """Messages that are sent on change, independently of the rates."""
@@ -348,9 +311,6 @@ class LinkEnd:
         """The first packet of a peer has come."""
 
     def _sends_texts(self) -> bool:
-        return True
-
-    def _sends_changes(self) -> bool:
         return True
 
     def _changes(self) -> Iterator[MavlinkMessage]:

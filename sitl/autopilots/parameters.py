@@ -46,6 +46,8 @@ class AutopilotData(msgspec.Struct, frozen=True, dict=True, kw_only=True, forbid
     armable_after_s: float
     braking_m_s2: float
     loops: Loops
+    setpoints_lost: dict[int, str | None] = {}  # flight mode by the value of the parameter; None stops the motors
+    ground_station_lost: dict[int, str | None]
     set_up: dict[str, float]
     disarmed: SensorBits
     armed: SensorBits

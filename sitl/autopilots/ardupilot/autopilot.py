@@ -13,7 +13,7 @@ from companion.geometry.frames import Quaternion, euler_from_quaternion, quatern
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import Vector3
 from sitl.autopilots.ardupilot.logs import DataFlash, LogService
-from sitl.autopilots.ardupilot.modes import ARMABLE, GROUND_STATION_LOSS, NEED_A_POSITION, CopterMode, StartUp
+from sitl.autopilots.ardupilot.modes import ARMABLE, NEED_A_POSITION, CopterMode, StartUp
 from sitl.autopilots.autopilot import (
     CRITICAL,
     IDLE_THRUST_NORM,
@@ -215,13 +215,13 @@ class ArduCopter(Autopilot):
 
     def _check_ground_station(self) -> None:
         heartbeat_s = self.ground_station_s
-        mode = GROUND_STATION_LOSS.get(int(self.parameters["FS_GCS_ENABLE"]))
+        mode = self.data.ground_station_lost.get(int(self.parameters["FS_GCS_ENABLE"]))
         if heartbeat_s is None or mode is None:  # a ground station must have connected before it can be lost
             return
         lost = self.time_s - heartbeat_s > self.parameters["FS_GCS_TIMEOUT"]
         if lost and not self.failsafe:
             self.send_text(WARNING, "GCS Failsafe")
-            self._enter(mode)
+            self._enter(CopterMode[mode])
         elif self.failsafe and not lost:
             self.send_text(WARNING, "GCS Failsafe Cleared")  # the mode is kept
         self.failsafe = lost

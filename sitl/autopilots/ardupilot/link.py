@@ -79,8 +79,11 @@ class ArduPilotReceiver(Receiver):
         self.logs = ArduPilotLogTransfer(
             copter, copter.log_service, lambda severity, text: self.texts([(severity, text)])
         )
-        del self._messages["PING"], self._messages["FILE_TRANSFER_PROTOCOL"]
-        self._messages |= {"SETUP_SIGNING": self._setup_signing, **self.logs.requests}
+        self._commands |= {
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
+            mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
+            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
+        }
 
     def _is_for_it(self, message: MavlinkMessage) -> bool:
         return getattr(message, "target_system", 0) in (0, self._copter.system_id)
@@ -105,7 +108,7 @@ class ArduPilotReceiver(Receiver):
     def _mode_parameters(self, custom_mode: int) -> tuple[float, ...]:
         return (float(custom_mode),)
 
-    def _setup_signing(self, message: MavlinkMessage) -> None:
+    def _on_setup_signing(self, message: MavlinkMessage) -> None:
         """No answer; from then on every link is signed. A key and a timestamp of zeros end signing."""
         key = bytes(message.secret_key)
         if self._copter.armed:

@@ -52,17 +52,6 @@ ARMABLE = frozenset({CopterMode.STABILIZE, CopterMode.ALT_HOLD, CopterMode.GUIDE
 NEED_A_POSITION = frozenset({CopterMode.AUTO, CopterMode.GUIDED, CopterMode.LOITER, CopterMode.RTL, CopterMode.BRAKE})
 REPORTED_AS_GUIDED = NEED_A_POSITION | {CopterMode.LAND}  # in HEARTBEAT: the modes that control the position
 
-# FS_GCS_ENABLE: the mode after the loss of the ground station, none for 0. SMART_RTL has no path here and becomes RTL.
-GROUND_STATION_LOSS = {
-    1: CopterMode.RTL,
-    2: CopterMode.RTL,
-    3: CopterMode.RTL,
-    4: CopterMode.LAND,
-    5: CopterMode.LAND,
-    6: CopterMode.RTL,
-    7: CopterMode.BRAKE,
-}
-
 
 @dataclass(slots=True)
 class StartUp:

@@ -67,20 +67,6 @@ NEED_A_PILOT = frozenset({Px4Mode.MANUAL, Px4Mode.ALTCTL, Px4Mode.POSCTL, Px4Mod
 _TASKS = {Px4Mode.TAKEOFF: Task.TAKE_OFF, Px4Mode.LAND: Task.LAND, Px4Mode.RTL: Task.RETURN}
 PREVENT_ARMING = frozenset({Px4Mode.LAND, Px4Mode.RTL})
 
-# COM_OBL_RC_ACT: where the vehicle goes when the setpoint stream is lost; None stops the motors. What is not listed is as 0.
-OFFBOARD_LOSS: dict[int, Px4Mode | None] = {
-    0: Px4Mode.POSCTL,
-    1: Px4Mode.ALTCTL,
-    2: Px4Mode.STABILIZED,
-    3: Px4Mode.RTL,
-    4: Px4Mode.LAND,
-    5: Px4Mode.LOITER,
-    6: None,
-    7: None,
-}
-# NAV_DLL_ACT: where it goes when the ground station is lost. 0 is nowhere.
-GROUND_STATION_LOSS: dict[int, Px4Mode | None] = {1: Px4Mode.LOITER, 2: Px4Mode.RTL, 3: Px4Mode.LAND, 5: None, 6: None}
-
 FAILSAFE_PERIOD_S = 0.1  # the check for lost streams; so the largest delay of a failsafe
 STREAM_LOST_GRACE_S = 0.01  # with the period, a lost stream is detected after 1.01 to 1.12 s
 STREAM_BACK_AFTER_S = 0.03  # a stream that returns counts after this time
@@ -286,11 +272,11 @@ class Px4(Autopilot):
         elif check_is_due and self._ground_station_is_newly_lost():
             self._ground_station_failsafe_s = self.time_s
             hold_s = self.parameters["COM_FAIL_ACT_T"]  # the pilot may take over in this time
-            self._activate_failsafe(Px4Mode.LOITER, f": entering Hold for {hold_s:.0f} seconds")
+            self._activate_failsafe("LOITER", f": entering Hold for {hold_s:.0f} seconds")
         elif self.mode is Px4Mode.OFFBOARD:
             gap_s = self.time_s - self._stream.newest_s
             if check_is_due and gap_s > self.parameters["COM_OF_LOSS_T"] + STREAM_LOST_GRACE_S:
-                self._activate_failsafe(OFFBOARD_LOSS.get(int(self.parameters["COM_OBL_RC_ACT"]), Px4Mode.POSCTL))
+                self._activate_failsafe(self.data.setpoints_lost.get(int(self.parameters["COM_OBL_RC_ACT"]), "POSCTL"))
         elif self.intended_mode is Px4Mode.OFFBOARD and self._stream_is_back():
             # PX4 re-enters OFFBOARD without a command when setpoints come again.
             self.failsafe = False
@@ -300,7 +286,7 @@ class Px4(Autopilot):
         return self.streaming and self.time_s - self._stream.since_s >= STREAM_BACK_AFTER_S
 
     def _ground_station_is_newly_lost(self) -> bool:
-        lost = self.ground_station_lost and int(self.parameters["NAV_DLL_ACT"]) in GROUND_STATION_LOSS
+        lost = self.ground_station_lost and int(self.parameters["NAV_DLL_ACT"]) in self.data.ground_station_lost
         newly = lost and not self._ground_station_loss_known and self.mode is not Px4Mode.LAND
         self._ground_station_loss_known = lost
         return newly
@@ -308,18 +294,18 @@ class Px4(Autopilot):
     def _go_on_without_ground_station(self, since_s: float) -> None:
         """Latched: only a mode change ends it, neither the ground station's return nor a setpoint stream."""
         if self.mode is Px4Mode.LOITER and self.time_s - since_s >= self.parameters["COM_FAIL_ACT_T"]:
-            self._fly_failsafe(GROUND_STATION_LOSS.get(int(self.parameters["NAV_DLL_ACT"]), Px4Mode.LOITER))
+            self._fly_failsafe(self.data.ground_station_lost.get(int(self.parameters["NAV_DLL_ACT"]), "LOITER"))
 
-    def _activate_failsafe(self, mode: Px4Mode | None, how: str = "") -> None:
+    def _activate_failsafe(self, mode: str | None, how: str = "") -> None:
         self.failsafe = True
         self.send_text(CRITICAL, f"Failsafe activated{how}")
         self._fly_failsafe(mode)
 
-    def _fly_failsafe(self, mode: Px4Mode | None) -> None:
+    def _fly_failsafe(self, mode: str | None) -> None:
         if mode is None:
             self.disarm(forced=True, reason="failsafe")
         else:
-            self._switch(mode)
+            self._switch(Px4Mode[mode])
 
     # ------------------------------------------------------------ ground and modes
 

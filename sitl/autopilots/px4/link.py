@@ -153,12 +153,10 @@ class Px4Receiver(Receiver):
         super().__init__(px4, schedule)
         self._px4 = px4
         self.logs = Px4LogTransfer(px4)
-        self._messages |= {
-            "COMMAND_INT": self._command_int,
-            "SET_GPS_GLOBAL_ORIGIN": self._set_origin,
-            **self.logs.requests,
-        }
         self._commands |= {
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
+            mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
+            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
             mavlink.MAV_CMD_DO_REPOSITION: self._reposition,
             mavlink.MAV_CMD_MISSION_START: self._mission_start,
         }
@@ -180,13 +178,31 @@ class Px4Receiver(Receiver):
     def _is_of_ground_station(self, heartbeat: MavlinkMessage) -> bool:
         return bool(heartbeat.type == mavlink.MAV_TYPE_GCS)
 
-    def _command_int(self, message: MavlinkMessage) -> Answers:
+    def _on_command_int(self, message: MavlinkMessage) -> Answers:
         first = [getattr(message, f"param{i}") for i in range(1, 5)]
         latitude, longitude = (nan if abs(x) >= NO_COORDINATE else x / 1e7 for x in (message.x, message.y))
         if message.frame in ABOVE_SEA_LEVEL:
             yield from self._command(message, [*first, latitude, longitude, message.z])
         else:
             yield self._ack(message, UNSUPPORTED)
+
+    def _on_ping(self, message: MavlinkMessage) -> Answers:
+        if message.target_system == 0:
+            yield mavlink.MAVLink_ping_message(
+                message.time_usec, message.seq, message.get_srcSystem(), message.get_srcComponent()
+            )
+
+    def _on_file_transfer_protocol(self, message: MavlinkMessage) -> Answers:
+        """There are no files: NAK, so that a client continues without them."""
+        request = bytes(message.payload)
+        reply = bytearray(251)
+        sequence = int.from_bytes(request[:2], "little") + 1
+        reply[:2] = (sequence & 0xFFFF).to_bytes(2, "little")
+        reply[2] = request[2]  # the session, by which MAVProxy matches answers
+        reply[3], reply[4], reply[5], reply[12] = 129, 1, request[3], 10  # NAK, one byte: file not found
+        yield mavlink.MAVLink_file_transfer_protocol_message(
+            0, message.get_srcSystem(), message.get_srcComponent(), reply
+        )
 
     def _attitude_of(self, message: MavlinkMessage) -> AttitudeSetpoint | None:
         return setpoint_of(message, self._px4.quad.estimated_quaternion())
@@ -204,7 +220,7 @@ class Px4Receiver(Receiver):
     def _mode_parameters(self, custom_mode: int) -> tuple[float, ...]:
         return (custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF)
 
-    def _set_origin(self, message: MavlinkMessage) -> None:
+    def _on_set_gps_global_origin(self, message: MavlinkMessage) -> None:
         """Every link then sends the new origin. The stand-in's world is flat, so distant origins are rejected."""
         origin = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
         if max(map(abs, enu_from_geodetic(*origin, self._px4.quad.world_origin))) <= MAX_DISTANCE_M:
@@ -278,10 +294,10 @@ class Px4LinkEnd(LinkEnd):
         codec = MavlinkCodec(px4.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
         super().__init__(px4, schedule, Px4Receiver(px4, schedule), codec)
         self._connected_rates_hz = connected_rates_hz
-        self._sends_all = not connected_rates_hz
+        self.sends_changes = not connected_rates_hz
 
     def peer_connected(self) -> None:
-        self._sends_all = True
+        self.sends_changes = True
         if self._connected_rates_hz:
             self.schedule.reset(self._connected_rates_hz, self._autopilot.time_s)
 
@@ -289,9 +305,6 @@ class Px4LinkEnd(LinkEnd):
         """Only on a link with heartbeats of a ground station."""
         heartbeat_s = self.receiver.ground_station_s
         return heartbeat_s is not None and self._autopilot.time_s - heartbeat_s < GROUND_STATION_LOST_S
-
-    def _sends_changes(self) -> bool:
-        return self._sends_all
 
 
 PX4 = AutopilotType(
