@@ -27,16 +27,6 @@ class Logged(Protocol):
     time_s: float
 
 
-class LogFormat(Protocol):
-    """The log format of one autopilot type."""
-
-    def head(self) -> bytes:
-        """The beginning of a file."""
-
-    def row(self) -> bytes:
-        """One row: the present state of the vehicle."""
-
-
 @dataclass(slots=True)
 class FlightLog:
     """One file. `written_s` is the time of its last row, on the autopilot's clock."""
@@ -47,9 +37,13 @@ class FlightLog:
 
 @dataclass(slots=True)
 class StandInLogs:
-    """All logs of one vehicle, the oldest first. Without `utc_at_start_s` the autopilot does not know the date."""
+    """All logs of one vehicle, the oldest first. Without `utc_at_start_s` the autopilot does not know the date.
 
-    log_format: LogFormat
+    The format is that of its type: `head` is the beginning of a file, `row` the present state of the vehicle.
+    """
+
+    head: Callable[[], bytes]
+    row: Callable[[], bytes]
     after_disarming_s: float
     utc_at_start_s: float = 0.0
     files: list[FlightLog] = field(default_factory=list)
@@ -66,11 +60,11 @@ class StandInLogs:
             self._open = None
             return
         if self._open is None:
-            self._open = FlightLog(bytearray(self.log_format.head()), vehicle.time_s)
+            self._open = FlightLog(bytearray(self.head()), vehicle.time_s)
             self.files.append(self._open)
         if vehicle.time_s >= self._next_s - EPSILON_S:
             self._next_s = vehicle.time_s + PERIOD_S
-            self._open.content += self.log_format.row()
+            self._open.content += self.row()
             self._open.written_s = vehicle.time_s
 
     def pause(self) -> None:

@@ -8,10 +8,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
 
 from companion.ground.publishers import TargetPublisher
 from companion.types.values import Vector3
@@ -51,7 +50,7 @@ class Child:
         return f"{self.name} ended with exit code {code}: {self.last_output()}"
 
 
-class FleetProcesses:
+class FleetProcesses(AbstractContextManager["FleetProcesses"]):
     """The processes of one flight, a context manager: all processes are killed at its end."""
 
     def __init__(self, children: Sequence[Child]) -> None:
@@ -144,9 +143,6 @@ class FleetProcesses:
     def kill(self) -> None:
         """Kill all processes."""
         _kill(self._children)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_exception: object) -> None:
         self.kill()

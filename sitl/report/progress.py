@@ -8,7 +8,8 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from typing import Self, TextIO
+from contextlib import AbstractContextManager
+from typing import TextIO
 
 from rich.console import Console
 from rich.live import Live
@@ -22,7 +23,7 @@ LONGEST_AGE_S = 1e5  # above: no data has come yet
 NEEDS_A_LEADER = (FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE)
 
 
-class FlightProgress:
+class FlightProgress(AbstractContextManager["FlightProgress"]):
     """Shows one flight. Its times are arguments, because it may fly in virtual time. `quiet` shows nothing."""
 
     def __init__(self, name: str, quiet: bool, began_s: float, out: TextIO | None = None) -> None:
@@ -32,9 +33,6 @@ class FlightProgress:
         self._began_s = began_s
         self._step, self._step_began_s, self._step_lasts_s = "starting", self._began_s, 0.0
         self._remark = ""
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_exception: object) -> None:
         self._screen.close()
@@ -126,16 +124,13 @@ SHARE_EVERY_S = 10.0
 LEAST_SHARE = 0.01  # below it the time left cannot be estimated
 
 
-class ShareProgress:
+class ShareProgress(AbstractContextManager["ShareProgress"]):
     """One line on standard error, so that results can be piped; removed from a terminal when the block ends."""
 
     def __init__(self, quiet: bool, out: TextIO | None = None) -> None:
         self._screen = Screen(quiet, out or sys.stderr, SHARE_EVERY_S, transient=True)
         self._began_s = time.monotonic()
         self._stage, self._stage_began_s = "", self._began_s
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_exception: object) -> None:
         self._screen.close()

@@ -6,13 +6,14 @@ No sockets, no clocks. `sitl.autopilots.ardupilot.link` handles incoming message
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from math import inf, isfinite
 from pathlib import Path
 
 from companion.geometry.frames import Quaternion, euler_from_quaternion, quaternion_from_euler
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import Vector3
-from sitl.autopilots.ardupilot.logs import DataFlash, LogService
+from sitl.autopilots.ardupilot.logs import LogService, dataflash_head, dataflash_row
 from sitl.autopilots.ardupilot.modes import ARMABLE, NEED_A_POSITION, CopterMode, StartUp
 from sitl.autopilots.autopilot import (
     CRITICAL,
@@ -61,7 +62,7 @@ class ArduCopter(Autopilot):
 
     def __init__(self, file: AutopilotFile, dt_s: float) -> None:
         super().__init__(file, dt_s)
-        self.flight_logs = StandInLogs(DataFlash(self), LOGS_AFTER_DISARMING_S)
+        self.flight_logs = StandInLogs(dataflash_head, partial(dataflash_row, self), LOGS_AFTER_DISARMING_S)
         self.log_service = LogService()
         self.mode = self.intended_mode = CopterMode.STABILIZE
         self.start = StartUp(self.armable_after_s(file.stand_in))

@@ -30,28 +30,21 @@ ENTRIES_PER_STEP, PACKETS_PER_STEP = 6, 58
 HIGHEST_ID = 0xFFFF
 
 
-class DataFlash:
-    """The log format of one vehicle."""
+def dataflash_head() -> bytes:
+    """FMT messages, which describe all messages."""
+    return b"".join(
+        _message("FMT", number, len(HEAD) + 1 + struct.calcsize(fields), name.encode(), form.encode(), columns.encode())
+        for number, name, fields, form, columns in MESSAGES
+    )
 
-    def __init__(self, copter: Autopilot) -> None:
-        self._copter = copter
 
-    def head(self) -> bytes:
-        """FMT messages, which describe all messages."""
-        return b"".join(
-            _message(
-                "FMT", number, len(HEAD) + 1 + struct.calcsize(fields), name.encode(), form.encode(), columns.encode()
-            )
-            for number, name, fields, form, columns in MESSAGES
-        )
-
-    def row(self) -> bytes:
-        time_us = round(self._copter.time_s * 1e6)
-        angles, position = attitude(self._copter), global_position(self._copter)
-        angles_deg = (degrees(angles.roll), degrees(angles.pitch), degrees(angles.yaw) % 360.0)
-        return _message("ATT", time_us, *angles_deg) + _message(
-            "POS", time_us, position.lat, position.lon, position.alt / 1e3, position.relative_alt / 1e3
-        )
+def dataflash_row(copter: Autopilot) -> bytes:
+    time_us = round(copter.time_s * 1e6)
+    angles, position = attitude(copter), global_position(copter)
+    angles_deg = (degrees(angles.roll), degrees(angles.pitch), degrees(angles.yaw) % 360.0)
+    return _message("ATT", time_us, *angles_deg) + _message(
+        "POS", time_us, position.lat, position.lon, position.alt / 1e3, position.relative_alt / 1e3
+    )
 
 
 def _message(name: str, *values: float | bytes) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from math import inf, radians, tan
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from sitl.autopilots.autopilot import (
 )
 from sitl.autopilots.logs import StandInLogs
 from sitl.autopilots.parameters import BytewiseParameters, load_data
-from sitl.autopilots.px4.logs import ULog
+from sitl.autopilots.px4.logs import ulog_head, ulog_row
 from sitl.vehicle.automatic_flight import Course, Speeds, Task
 from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.control import AttitudeSetpoint
@@ -95,7 +96,7 @@ class Px4(Autopilot):
 
     def __init__(self, file: AutopilotFile, dt_s: float) -> None:
         super().__init__(file, dt_s)
-        self.flight_logs = StandInLogs(ULog(self), after_disarming_s=0.0)
+        self.flight_logs = StandInLogs(partial(ulog_head, self), partial(ulog_row, self), after_disarming_s=0.0)
         self.mode = self.intended_mode = Px4Mode.LOITER
         self.failsafe = False
         self.takeoff_altitude_amsl_m: float | None = None

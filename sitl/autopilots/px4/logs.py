@@ -23,33 +23,27 @@ NAME = b"char[3] sys_name"
 END_OF_LIST = 0xFFFF
 
 
-class ULog:
-    """The log format of one vehicle."""
+def ulog_head(px4: Autopilot) -> bytes:
+    """Magic and time; flags, name and formats; subscribed topics."""
+    flags = _message("B", bytes(40))
+    name = _message("I", bytes([len(NAME)]) + NAME + b"PX4")
+    formats = b"".join(_message("F", f"{topic}:{fields}".encode()) for topic, fields in TOPICS)
+    topics = b"".join(_message("A", struct.pack("<BH", 0, i) + topic.encode()) for i, (topic, _) in enumerate(TOPICS))
+    return MAGIC + struct.pack("<Q", _time_us(px4)) + flags + name + formats + topics
 
-    def __init__(self, px4: Autopilot) -> None:
-        self._px4 = px4
 
-    def head(self) -> bytes:
-        """Magic and time; flags, name and formats; subscribed topics."""
-        flags = _message("B", bytes(40))
-        name = _message("I", bytes([len(NAME)]) + NAME + b"PX4")
-        formats = b"".join(_message("F", f"{topic}:{fields}".encode()) for topic, fields in TOPICS)
-        topics = b"".join(
-            _message("A", struct.pack("<BH", 0, i) + topic.encode()) for i, (topic, _) in enumerate(TOPICS)
-        )
-        return MAGIC + struct.pack("<Q", self._time_us()) + flags + name + formats + topics
+def ulog_row(px4: Autopilot) -> bytes:
+    position, attitude = local_position(px4), attitude_quaternion(px4)
+    assert position is not None  # PX4 always has one
+    fields = (position.x, position.y, position.z, position.vx, position.vy, position.vz)
+    quaternion = (attitude.q1, attitude.q2, attitude.q3, attitude.q4)
+    return _message("D", struct.pack("<HQ6f", LOCAL_POSITION, _time_us(px4), *fields)) + _message(
+        "D", struct.pack("<HQ4f", ATTITUDE, _time_us(px4), *quaternion)
+    )
 
-    def row(self) -> bytes:
-        position, attitude = local_position(self._px4), attitude_quaternion(self._px4)
-        assert position is not None  # PX4 always has one
-        fields = (position.x, position.y, position.z, position.vx, position.vy, position.vz)
-        quaternion = (attitude.q1, attitude.q2, attitude.q3, attitude.q4)
-        return _message("D", struct.pack("<HQ6f", LOCAL_POSITION, self._time_us(), *fields)) + _message(
-            "D", struct.pack("<HQ4f", ATTITUDE, self._time_us(), *quaternion)
-        )
 
-    def _time_us(self) -> int:
-        return round(self._px4.time_s * 1e6)
+def _time_us(px4: Autopilot) -> int:
+    return round(px4.time_s * 1e6)
 
 
 def _message(kind: str, payload: bytes) -> bytes:
