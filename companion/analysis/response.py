@@ -54,25 +54,25 @@ MODEL = LinearModel()
 
 def settled_prcs(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
     """PrC p_i at convergence of Algorithm 1: hops to the nearest leader + 1, or n without a path."""
-    return dict.fromkeys(graph, len(graph)) | {i: hops + 1 for i, hops in _hops(graph, leaders).items()}
+    return dict.fromkeys(graph, len(graph)) | {i: distance + 1 for i, distance in hops(graph, leaders).items()}
 
 
 def reached_from(graph: Graph, leaders: Collection[int]) -> set[int]:
     """Vehicles with a path to a leader. Lemma 1 requires that all vehicles have one."""
-    return set(_hops(graph, leaders))
+    return set(hops(graph, leaders))
 
 
-def _hops(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
+def hops(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
     """Hops to the nearest leader, for each vehicle with a path to one."""
-    hops = dict.fromkeys(leaders, 0)
+    found = dict.fromkeys(leaders, 0)
     waiting = deque(leaders)
     while waiting:
         i = waiting.popleft()
         for j in graph[i]:
-            if j not in hops:
-                hops[j] = hops[i] + 1
+            if j not in found:
+                found[j] = found[i] + 1
                 waiting.append(j)
-    return hops
+    return found
 
 
 Motion = Sequence[Harmonic]

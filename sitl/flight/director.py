@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Protocol
 
+from companion.ground.answers import id_list
 from companion.ground.commands import Clock, CommandSession
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName
@@ -18,7 +19,7 @@ from companion.wire.messages import StatusReport
 from sitl.flight.external import READY_WITHIN_S, Readiness, armed_already
 from sitl.flight.orders import REPEAT_S, REPLY_WITHIN_S, FlightFailure, Order, Refusal, newest_report
 from sitl.flight.scenario import TO_ALL, MovingTarget, TimelineStep
-from sitl.flight.watch import SILENT_S, FlightWatch, vehicles_in_words
+from sitl.flight.watch import SILENT_S, FlightWatch
 from sitl.report.progress import FlightProgress
 
 TARGET_PERIOD_S = 0.1
@@ -188,7 +189,7 @@ class Director:
                     raise FlightFailure(f"vehicle {status.vehicle_id} left phase {left}: {newest_report(status)}")
             silent = [i for i in self._watch.silent(self._clock.now_s()) if phases[i] is not FlightPhase.OBSERVE]
             if silent:
-                raise FlightFailure(f"no report from {vehicles_in_words(silent)} for {SILENT_S:g} s")
+                raise FlightFailure(f"no report from {id_list(silent)} for {SILENT_S:g} s")
 
     def _pass(self) -> None:
         """Receive and show reports once, after POLL_S. Raises FlightFailure."""
@@ -224,7 +225,7 @@ class Director:
             next_command_s = now_s + REPEAT_S
         if not (up := self._still_up(self._clock.now_s())):
             return None
-        return f"{vehicles_in_words([s.vehicle_id for s in up])} could not be landed: {newest_report(up[0])}"
+        return f"{id_list([s.vehicle_id for s in up])} could not be landed: {newest_report(up[0])}"
 
     def _still_up(self, now_s: float) -> list[Status]:
         reporting = {vehicle.vehicle_id for vehicle in self._watch.vehicles_at(now_s) if not vehicle.silent}

@@ -16,12 +16,13 @@ from companion.config.validation import Problem
 from companion.config.values import Drag, HoverThrust, Section, VehicleId
 from companion.config.vehicle import MavlinkEndpoint
 from companion.geometry.frames import geodetic_from_enu
+from companion.ground.answers import id_list
 from companion.types.autopilot import AutopilotKind
 from companion.types.flight import WITHOUT_LEADER
 from companion.types.status import Status
 from companion.types.values import Vector3
 from sitl.flight.scenario import Scenario
-from sitl.flight.watch import reasons_in_words, vehicles_in_words
+from sitl.flight.watch import reasons_in_words
 
 READY_WITHIN_S = 120.0  # an ArduCopter can be armed 42 s after its start; the rest is for slow machines
 READY_FOR_S = 2.0  # without interruption: a fresh estimate may still jump
@@ -133,7 +134,7 @@ def armed_already(statuses: Collection[Status]) -> str:
     armed = sorted(status.vehicle_id for status in statuses if status.armed)
     if not armed:
         return ""
-    return f"{vehicles_in_words(armed)} armed before the flight; land and disarm first"
+    return f"{id_list(armed)} armed before the flight; land and disarm first"
 
 
 def _away(position_enu_m: Vector3, start_enu_m: Vector3, origin: GeodeticOrigin) -> str:

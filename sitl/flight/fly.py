@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from companion.config.file import ConfigError
+from companion.ground.answers import id_list
 from companion.ground.commands import MACHINE_CLOCK
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
@@ -21,7 +22,7 @@ from sitl.flight.flights import FlightEnd, FlightOptions, FlightOrder, FlightRes
 from sitl.flight.orders import REPLY_WITHIN_S, FlightFailure
 from sitl.flight.processes import FleetProcesses, publish_targets
 from sitl.flight.scenario import Scenario, load_scenario
-from sitl.flight.watch import FlightWatch, vehicles_in_words, watch_of
+from sitl.flight.watch import FlightWatch, watch_of
 from sitl.links.free_ports import reserved_ports
 from sitl.links.ports import LOOPBACK, ports_of, zenoh_endpoint
 from sitl.report.folder import open_folder
@@ -136,11 +137,9 @@ def _left_in_the_air(watch: FlightWatch, lost: set[int]) -> list[str]:
     """External vehicles that are not on the ground, and why, one line each."""
     lines = []
     if alone := [status.vehicle_id for status in watch.statuses() if status.armed and status.vehicle_id in lost]:
-        lines.append(
-            f"{vehicles_in_words(alone)} left armed, without an agent that could land it: use a ground station"
-        )
+        lines.append(f"{id_list(alone)} left armed, without an agent that could land it: use a ground station")
     if others := sorted(watch.flown_by_others() - lost):
-        lines.append(f"{vehicles_in_words(others)} left in the air: another operator or the autopilot set its mode")
+        lines.append(f"{id_list(others)} left in the air: another operator or the autopilot set its mode")
     return lines
 
 

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping
 from companion.core.consensus.law import FormationState
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.geometry.formations import turned_slot
-from companion.ground.answers import TimedReply
+from companion.ground.answers import TimedReply, id_list
 from companion.ground.fleet_state import FleetState, ReportedVehicle, fold, vehicles_at
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, Role
@@ -225,14 +225,9 @@ def watch_of(scenario: Scenario, began_s: float) -> FlightWatch:
     return FlightWatch([member.id for member in members], leader_ids, began_s)
 
 
-def vehicles_in_words(ids: Collection[int]) -> str:
-    """ "vehicle 3", "vehicles 1, 2"."""
-    return f"vehicle{'s' if len(ids) > 1 else ''} {', '.join(map(str, ids))}"
-
-
 def reasons_in_words(reasons: Mapping[int, str]) -> str:
     """Each reason once, with all vehicles that have it: "vehicles 1, 2: no answer; vehicle 3: ..."."""
     vehicles: dict[str, list[int]] = {}
     for vehicle_id, reason in reasons.items():
         vehicles.setdefault(reason, []).append(vehicle_id)
-    return "; ".join(f"{vehicles_in_words(ids)}: {reason}" for reason, ids in vehicles.items())
+    return "; ".join(f"{id_list(ids)}: {reason}" for reason, ids in vehicles.items())

@@ -15,7 +15,7 @@ from math import dist
 import numpy as np
 
 from companion.analysis.interaction import FloatArray, interaction_matrix
-from companion.analysis.response import Graph, settled_prcs
+from companion.analysis.response import Graph, hops, settled_prcs
 from companion.core.consensus.law import FormationLaw, average_22, average_26, neighbour_weights, weighted
 from companion.types.values import Vector3
 from sitl.paper.words import claim_of, verdict_of
@@ -149,17 +149,6 @@ def describe(pair: Led) -> str:
         return f"a graph of {n} vertices and {len(edges)} edges with {count} leader{'' if count == 1 else 's'}"
     leaders = " and ".join(str(leader) for leader in sorted(pair.leaders))
     return f"the graph {', '.join(edges)} with leader{'' if len(pair.leaders) == 1 else 's'} {leaders}"
-
-
-def hops(graph: Graph, sources: Collection[int]) -> dict[int, int]:
-    """Distance of vertices (DOV) to the nearest of `sources`, by breadth-first search instead of Algorithm 1."""
-    found = dict.fromkeys(sources, 0)
-    frontier = list(sources)
-    while frontier:
-        new = {j for i in frontier for j in graph[i]} - found.keys()
-        found |= dict.fromkeys(new, found[frontier[0]] + 1)
-        frontier = list(new)
-    return found
 
 
 def diameter(graph: Graph) -> int:

@@ -9,6 +9,7 @@ from math import inf, nan
 import numpy as np
 
 from companion.analysis.interaction import FloatArray
+from companion.analysis.response import hops
 from companion.config.fleet import LawName
 from companion.config.reference import Figure8Reference
 from sitl.paper.flights import (
@@ -25,7 +26,7 @@ from sitl.paper.flights import (
     results,
     topology_at,
 )
-from sitl.paper.graphs import EXACT, RING_LED_BY_1, RING_LED_BY_2, hops, printed_matrix
+from sitl.paper.graphs import EXACT, RING_LED_BY_1, RING_LED_BY_2, printed_matrix
 from sitl.paper.words import claim_of, join_words, seconds, verdict_of
 from sitl.report.claim import Claim
 from sitl.report.metrics import distances_m, errors_m, pair_name, reference_positions_m, rms

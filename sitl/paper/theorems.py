@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from companion.analysis.interaction import FloatArray, mode_figures
-from companion.analysis.response import Graph
+from companion.analysis.response import Graph, hops
 from companion.core.consensus.law import PAPER_GAINS, Gains, next_prc
 from sitl.paper.graphs import (
     Led,
@@ -16,7 +16,6 @@ from sitl.paper.graphs import (
     connected_graphs,
     describe,
     diameter,
-    hops,
     layered_ring,
     matrix_claims,
 )
