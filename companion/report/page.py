@@ -47,13 +47,7 @@ def page_of(one: JudgedFlight, zone: tzinfo) -> str:
 
 def page(flight: FlightRecords, summary: FlightSummary, sections: Sequence[Section], axis: TimeAxis) -> str:
     """The whole page. It requests nothing from a network and prints on A4."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("companion.report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = templates_of("companion.report")
     environment.filters |= {"sign": SIGNS.__getitem__, "number": number, "clock": axis.clock, "prose": prose}
     rows = rows_of(summary.findings)
     commands = _by_time({vehicle.vehicle_id: vehicle.commands for vehicle in flight.vehicles})
@@ -90,6 +84,17 @@ def marks_of(rows: Sequence[FindingRow]) -> tuple[tuple[float, str], ...]:
 def count(rows: Sequence[FindingRow], severity: Severity) -> int:
     """Rows of the page of one severity."""
     return sum(row.finding.severity is severity for row in rows)
+
+
+def templates_of(package: str) -> jinja2.Environment:
+    """The templates of a package, for pages that need no network. A value that is missing is an error."""
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader(package),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
 
 
 def verdict(rows: Sequence[FindingRow]) -> str:

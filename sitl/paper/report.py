@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import jinja2
 import matplotlib
 import numpy as np
 from msgspec import Struct
@@ -16,6 +15,7 @@ from companion import __version__
 from companion.analysis.interaction import FloatArray, interaction_matrix
 from companion.assembly import law_of
 from companion.config.fleet import EdgeNeighbours
+from companion.report.page import templates_of
 from companion.types.flight import Role
 from sitl.paper.flights import COMPARED, PERFECT, Book, FlightSubject, FlownPlan, Model
 from sitl.paper.graphs import graph_of
@@ -79,13 +79,7 @@ def write_report(folder: Path, report: PaperReport) -> None:
 
 def as_html(report: PaperReport) -> str:
     """The page. It needs no network; its figures are files in the same folder."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("sitl.paper"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = templates_of("sitl.paper")
     environment.filters |= {"sign": SIGNS.__getitem__, "css_class": CSS_CLASSES.__getitem__, "sentence": sentence}
     template = environment.get_template("report.html.j2")
     by_id = {claim.id: claim for claim in report.claims}
