@@ -2,7 +2,7 @@
 
 A state is (17, N): position [m] and velocity [m/s] in ENU, attitude quaternion w x y z (FLU to ENU), body rates [rad/s],
 thrust [N] and moments [N m] of the motors. A command is (4, N): thrust [N] and moments [N m]. Rotations are quaternions (4, k).
-The loops of attitude and rates (sitl.vehicle.attitude_control) make moments of attitude goals.
+The loops of attitude and rates (sitl.vehicle.control) make moments of attitude goals.
 """
 
 from __future__ import annotations

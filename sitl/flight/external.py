@@ -8,12 +8,10 @@ from math import hypot
 from pathlib import Path
 from typing import Annotated
 
-from msgspec import Meta
-
 from companion.config.file import ConfigError, convert, read_as
 from companion.config.fleet import FleetConfig, GeodeticOrigin
 from companion.config.validation import Problem
-from companion.config.values import Drag, HoverThrust, Section, VehicleId
+from companion.config.values import Drag, HoverThrust, Section, VehicleId, about
 from companion.config.vehicle import MavlinkEndpoint
 from companion.geometry.frames import geodetic_from_enu
 from companion.ground.answers import id_list
@@ -38,10 +36,9 @@ class ReachedVehicle(Section, frozen=True):
     mavlink: MavlinkEndpoint
     hover_thrust_norm: HoverThrust
     drag_1_s: Drag = 0.25
-    autopilot: (
-        Annotated[AutopilotKind, Meta(description="required autopilot; without a value the one of its HEARTBEAT")]
-        | None
-    ) = None
+    autopilot: Annotated[
+        AutopilotKind | None, about("required autopilot; without a value the one of its HEARTBEAT")
+    ] = None
 
 
 class ExternalFile(Section, frozen=True):
@@ -49,7 +46,7 @@ class ExternalFile(Section, frozen=True):
 
     external_vehicles: Annotated[
         tuple[ReachedVehicle, ...],
-        Meta(min_length=1, description="the vehicles; more than the scenario has is allowed"),
+        about("the vehicles; more than the scenario has is allowed", min_length=1),
     ]
 
 

@@ -27,7 +27,7 @@ from companion.config.planned_flight import (
 )
 from companion.config.reference import CircleReference, Figure8Reference, PointReference, Reference, WaypointsReference
 from companion.config.validation import Problem, each, unless_invalid
-from companion.config.values import Drag, HoverThrust, Name, PositionM, Section, VehicleId
+from companion.config.values import Drag, HoverThrust, Name, PositionM, Section, VehicleId, about
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.commands import CommandName
 from sitl.autopilots.types import parameter_problems
@@ -41,45 +41,35 @@ DONE_WITHIN_S, RETURNED_WITHIN_S = 30.0, 300.0
 class FormationStep(Section, frozen=True, kw_only=True):
     """The formation of `command: formation`: a slot for each vehicle, or a shape, whose slots are assigned on command."""
 
-    shape: Annotated[ShapeName, Meta(description="name of the shape")] | None = None
+    shape: Annotated[ShapeName | None, about("name of the shape")] = None
     spacing_m: SpacingM | None = None
     heading_deg: HeadingDeg = 0.0
-    slots_enu_m: Annotated[
-        dict[VehicleId, PositionM], Meta(description="the slot of every vehicle by id, instead of a shape")
-    ] = field(default_factory=dict)
-    speed_m_s: Annotated[float, Meta(gt=0, le=50, description="speed of the fastest slot half way")] = 1.0
+    slots_enu_m: Annotated[dict[VehicleId, PositionM], about("the slot of every vehicle by id, instead of a shape")] = (
+        field(default_factory=dict)
+    )
+    speed_m_s: Annotated[float, about("speed of the fastest slot half way", gt=0, le=50)] = 1.0
 
 
 class TimelineStep(Section, frozen=True, kw_only=True):
     """One command: it is sent, the vehicles carry it out, then they stay so for `for_s`."""
 
-    command: Annotated[CommandName, Meta(description="the command; `take` and `abort` are for operators only")]
-    vehicles: Annotated[tuple[VehicleId, ...], Meta(description="ids of the vehicles; without any, all")] = ()
-    at_s: (
-        Annotated[
-            float,
-            Meta(
-                ge=0, le=36_000, description="earliest time of the flight; without a value right after the step before"
-            ),
-        ]
-        | None
-    ) = None
-    leaders: Annotated[tuple[VehicleId, ...], Meta(description="the new leaders, for `command: lead`")] = ()
-    formation: Annotated[FormationStep, Meta(description="the new slots, for `command: formation`")] | None = None
-    reference: Annotated[Reference, Meta(description="the new reference, for `command: reference`")] | None = None
-    for_s: Annotated[
-        float, Meta(ge=0, le=3600, description="time before the next step, once all have done this one")
-    ] = 0.0
-    timeout_s: (
-        Annotated[
-            float,
-            Meta(gt=0, le=600, description="time in which all must have done it; by default 30 s, `return` 300 s"),
-        ]
-        | None
-    ) = None
+    command: Annotated[CommandName, about("the command; `take` and `abort` are for operators only")]
+    vehicles: Annotated[tuple[VehicleId, ...], about("ids of the vehicles; without any, all")] = ()
+    at_s: Annotated[
+        Annotated[float, Meta(ge=0, le=36_000)] | None,
+        about("earliest time of the flight; without a value right after the step before"),
+    ] = None
+    leaders: Annotated[tuple[VehicleId, ...], about("the new leaders, for `command: lead`")] = ()
+    formation: Annotated[FormationStep | None, about("the new slots, for `command: formation`")] = None
+    reference: Annotated[Reference, about("the new reference, for `command: reference`")] | None = None
+    for_s: Annotated[float, about("time before the next step, once all have done this one", ge=0, le=3600)] = 0.0
+    timeout_s: Annotated[
+        Annotated[float, Meta(gt=0, le=600)] | None,
+        about("time in which all must have done it; by default 30 s, `return` 300 s"),
+    ] = None
 
     may_fail: Annotated[
-        bool, Meta(description="`true`: the flight goes on when vehicles have answered, or refused until `timeout_s`")
+        bool, about("`true`: the flight goes on when vehicles have answered, or refused until `timeout_s`")
     ] = False
 
     @property
@@ -193,16 +183,10 @@ class Assumed(Section, frozen=True, kw_only=True):
 class MovingTarget(Section, frozen=True, kw_only=True):
     """A target that moves along a curve and publishes its position and velocity, for a reference that follows it."""
 
-    name: Annotated[Name, Meta(description="name of the target, as a reference names it")] = "main"
-    path: Annotated[
-        PointReference | Figure8Reference | CircleReference | WaypointsReference, Meta(description="the curve")
-    ]
-    begins_s: Annotated[
-        float, Meta(ge=0, le=3600, description="time of the flight at which it begins to move and publish")
-    ] = 0.0
-    ends_s: Annotated[
-        float, Meta(gt=0, le=3600, description="time of the flight after which it no longer publishes")
-    ] = 3600.0
+    name: Annotated[Name, about("name of the target, as a reference names it")] = "main"
+    path: Annotated[PointReference | Figure8Reference | CircleReference | WaypointsReference, about("the curve")]
+    begins_s: Annotated[float, about("time of the flight at which it begins to move and publish", ge=0, le=3600)] = 0.0
+    ends_s: Annotated[float, about("time of the flight after which it no longer publishes", gt=0, le=3600)] = 3600.0
 
 
 class AgentEnd(Section, frozen=True, kw_only=True):
@@ -212,10 +196,10 @@ class AgentEnd(Section, frozen=True, kw_only=True):
     """
 
     vehicle: VehicleId
-    at_s: Annotated[float, Meta(ge=0, le=36_000, description="time of the flight")]
+    at_s: Annotated[float, about("time of the flight", ge=0, le=36_000)]
     restarts_after_s: Annotated[
         Annotated[float, Meta(gt=0, le=36_000)] | None,
-        Meta(description="time after the end at which a new agent starts; without it none does"),
+        about("time after the end at which a new agent starts; without it none does"),
     ] = None
 
     @property
@@ -229,24 +213,20 @@ class ScenarioFile(PlannedFlight, frozen=True, kw_only=True):
 
     origins_enu_m: Annotated[
         dict[VehicleId, PositionM],
-        Meta(description="origin of the estimator of single stand-ins by id; the default is where each starts"),
+        about("origin of the estimator of single stand-ins by id; the default is where each starts"),
     ] = field(default_factory=dict)
-    reference: Annotated[
-        Reference, Meta(description="the trajectory of the formation (RFT); vehicles that may lead get it")
-    ]
+    reference: Annotated[Reference, about("the trajectory of the formation (RFT); vehicles that may lead get it")]
     stand_in: StandIn = StandIn()
     assumed: Assumed = Assumed()
-    targets: Annotated[
-        tuple[MovingTarget, ...], Meta(description="moving targets, for a reference of `kind: target`")
-    ] = ()
+    targets: Annotated[tuple[MovingTarget, ...], about("moving targets, for a reference of `kind: target`")] = ()
     links: Links = Links()
     agent_ends: Annotated[
         tuple[AgentEnd, ...],
-        Meta(description="agents whose processes end in flight, and may start again; in virtual time (`sitl run`)"),
+        about("agents whose processes end in flight, and may start again; in virtual time (`sitl run`)"),
     ] = ()
     timeline: Annotated[
         tuple[TimelineStep, ...],
-        Meta(description="the commands in order; the default is prepare, arm, takeoff, form for 60 s, hold, land"),
+        about("the commands in order; the default is prepare, arm, takeoff, form for 60 s, hold, land"),
     ] = STANDARD_TIMELINE
 
 

@@ -8,47 +8,44 @@ from msgspec import Meta, field
 
 from companion.config.fleet import GeodeticOrigin
 from companion.config.planned_flight import DEFAULT_ORIGIN
-from companion.config.values import PositionM, Section, VehicleId
+from companion.config.values import PositionM, Section, VehicleId, about
 from companion.types.autopilot import AutopilotKind
 
 NonNegative = Annotated[float, Meta(ge=0, le=1000)]
 PerAxis = tuple[NonNegative, NonNegative, NonNegative]
 Positive = Annotated[float, Meta(gt=0, le=1000)]
-FlightTime = Annotated[float, Meta(ge=0, le=36_000, description="time since the start of the stand-in")]
+FlightTime = Annotated[float, about("time since the start of the stand-in", ge=0, le=36_000)]
 
 
 class Airframe(Section, frozen=True):
     """Rigid body of eq. 1-5."""
 
-    mass_kg: Annotated[Positive, Meta(description="mass")] = 1.0
+    mass_kg: Annotated[Positive, about("mass")] = 1.0
     inertia_kg_m2: Annotated[
-        tuple[Positive, Positive, Positive], Meta(description="moments of inertia about the x, y and z axis")
+        tuple[Positive, Positive, Positive], about("moments of inertia about the x, y and z axis")
     ] = (0.021, 0.021, 0.042)
-    hover_thrust_norm: (
-        Annotated[
-            float,
-            Meta(ge=0.1, le=0.9, description="hover thrust; without a value as measured: PX4 0.49, ArduCopter 0.365"),
-        ]
-        | None
-    ) = None
-    drag_n_per_m_s: Annotated[NonNegative, Meta(description="linear drag")] = 0.25
-    motor_lag_s: Annotated[float, Meta(ge=0, le=1, description="time constant of the motors")] = 0.05
+    hover_thrust_norm: Annotated[
+        Annotated[float, Meta(ge=0.1, le=0.9)] | None,
+        about("hover thrust; without a value as measured: PX4 0.49, ArduCopter 0.365"),
+    ] = None
+    drag_n_per_m_s: Annotated[NonNegative, about("linear drag")] = 0.25
+    motor_lag_s: Annotated[float, about("time constant of the motors", ge=0, le=1)] = 0.05
     attitude: Annotated[
         Literal["rigid_body", "instant"],
-        Meta(description="`rigid_body`: simulated attitude control; `instant`: ideal, as in section 3.1 of the paper"),
+        about("`rigid_body`: simulated attitude control; `instant`: ideal, as in section 3.1 of the paper"),
     ] = "rigid_body"
 
 
 class Sensors(Section, frozen=True):
     """Errors of the autopilot's estimate: slow drifts (standard deviation, correlation time) and white noise."""
 
-    position_sd_m: Annotated[PerAxis, Meta(description="drift of the position, per axis")] = (0.0, 0.0, 0.0)
-    position_time_s: Annotated[Positive, Meta(description="correlation time of the position drift")] = 20.0
-    velocity_sd_m_s: Annotated[NonNegative, Meta(description="drift of the velocity")] = 0.0
-    velocity_time_s: Annotated[Positive, Meta(description="correlation time of the velocity drift")] = 2.0
-    velocity_white_sd_m_s: Annotated[NonNegative, Meta(description="white noise on the velocity")] = 0.0
-    attitude_sd_deg: Annotated[NonNegative, Meta(description="drift of roll and pitch")] = 0.0
-    origin_sd_m: Annotated[PerAxis, Meta(description="error of the vehicle's own origin, per axis")] = (0.0, 0.0, 0.0)
+    position_sd_m: Annotated[PerAxis, about("drift of the position, per axis")] = (0.0, 0.0, 0.0)
+    position_time_s: Annotated[Positive, about("correlation time of the position drift")] = 20.0
+    velocity_sd_m_s: Annotated[NonNegative, about("drift of the velocity")] = 0.0
+    velocity_time_s: Annotated[Positive, about("correlation time of the velocity drift")] = 2.0
+    velocity_white_sd_m_s: Annotated[NonNegative, about("white noise on the velocity")] = 0.0
+    attitude_sd_deg: Annotated[NonNegative, about("drift of roll and pitch")] = 0.0
+    origin_sd_m: Annotated[PerAxis, about("error of the vehicle's own origin, per axis")] = (0.0, 0.0, 0.0)
 
 
 SENSORS: dict[str, Sensors] = {
@@ -78,9 +75,9 @@ SENSORS: dict[str, Sensors] = {
 class Wind(Section, frozen=True):
     """Steady wind and gusts (first order, seeded)."""
 
-    mean_enu_m_s: Annotated[PositionM, Meta(description="steady wind, the direction it blows to")] = (0.0, 0.0, 0.0)
-    gust_sd_m_s: Annotated[NonNegative, Meta(description="standard deviation of the gusts")] = 0.0
-    gust_time_s: Annotated[Positive, Meta(description="correlation time of the gusts")] = 2.0
+    mean_enu_m_s: Annotated[PositionM, about("steady wind, the direction it blows to")] = (0.0, 0.0, 0.0)
+    gust_sd_m_s: Annotated[NonNegative, about("standard deviation of the gusts")] = 0.0
+    gust_time_s: Annotated[Positive, about("correlation time of the gusts")] = 2.0
 
 
 class EstimatorReset(Section, frozen=True):
@@ -88,7 +85,7 @@ class EstimatorReset(Section, frozen=True):
 
     vehicle: VehicleId
     at_s: FlightTime
-    shift_enu_m: Annotated[PositionM, Meta(description="the step, added to the estimate from then on")]
+    shift_enu_m: Annotated[PositionM, about("the step, added to the estimate from then on")]
 
 
 class BatteryLevel(Section, frozen=True):
@@ -96,9 +93,7 @@ class BatteryLevel(Section, frozen=True):
 
     vehicle: VehicleId
     at_s: FlightTime
-    percent: Annotated[
-        int, Meta(ge=-1, le=100, description="the charge from then on; -1: the autopilot does not know it")
-    ]
+    percent: Annotated[int, about("the charge from then on; -1: the autopilot does not know it", ge=-1, le=100)]
 
 
 class PilotedFlight(Section, frozen=True):
@@ -109,43 +104,33 @@ class PilotedFlight(Section, frozen=True):
 
     vehicle: VehicleId
     at_s: FlightTime
-    velocity_enu_m_s: Annotated[PositionM, Meta(description="velocity from then on")]
+    velocity_enu_m_s: Annotated[PositionM, about("velocity from then on")]
 
 
 class StandIn(Section, frozen=True):
     """The simulated vehicles of a scenario, and the wind."""
 
-    autopilot: Annotated[AutopilotKind, Meta(description="the autopilot whose behaviour they simulate")] = (
-        AutopilotKind.PX4
-    )
-    armable_after_s: (
-        Annotated[
-            float,
-            Meta(
-                ge=0,
-                le=600,
-                description="time from the start until arming is accepted; without a value as measured: PX4 4 s, ArduCopter"
-                " 42 s",
-            ),
-        ]
-        | None
-    ) = None
+    autopilot: Annotated[AutopilotKind, about("the autopilot whose behaviour they simulate")] = AutopilotKind.PX4
+    armable_after_s: Annotated[
+        Annotated[float, Meta(ge=0, le=600)] | None,
+        about("time from the start until arming is accepted; without a value as measured: PX4 4 s, ArduCopter 42 s"),
+    ] = None
     airframe: Airframe = Airframe()
     sensors: Annotated[
         Literal["ideal", "default", "px4_sih", "ardupilot_sitl"] | Sensors,
-        Meta(
-            description="`ideal`: no errors; `default`: a good estimator; `px4_sih`: PX4's SIH with stock EKF2 parameters;"
+        about(
+            "`ideal`: no errors; `default`: a good estimator; `px4_sih`: PX4's SIH with stock EKF2 parameters;"
             " `ardupilot_sitl`: ArduCopter's SITL"
         ),
     ] = "default"
     wind: Wind = Wind()
-    seed: Annotated[int, Meta(ge=0, description="seed of all random errors")] = 1
-    estimator_resets: Annotated[tuple[EstimatorReset, ...], Meta(description="steps in position estimates")] = ()
-    batteries: Annotated[tuple[BatteryLevel, ...], Meta(description="battery charges; without any, they are full")] = ()
-    pilots: Annotated[tuple[PilotedFlight, ...], Meta(description="vehicles that a pilot takes over")] = ()
-    parameters: Annotated[
-        dict[str, float], Meta(description="autopilot parameters by name, for those that the stand-in has")
-    ] = field(default_factory=dict)
+    seed: Annotated[int, about("seed of all random errors", ge=0)] = 1
+    estimator_resets: Annotated[tuple[EstimatorReset, ...], about("steps in position estimates")] = ()
+    batteries: Annotated[tuple[BatteryLevel, ...], about("battery charges; without any, they are full")] = ()
+    pilots: Annotated[tuple[PilotedFlight, ...], about("vehicles that a pilot takes over")] = ()
+    parameters: Annotated[dict[str, float], about("autopilot parameters by name, for those that the stand-in has")] = (
+        field(default_factory=dict)
+    )
 
     def sensor_model(self) -> Sensors:
         """The sensors by name, or as given."""
@@ -160,13 +145,13 @@ class Partition(Section, frozen=True):
     """A time in which packets between some vehicles and all others of the fleet are lost."""
 
     vehicles: Annotated[
-        tuple[VehicleId, ...], Meta(min_length=1, description="the vehicles on one side; all others are on the other")
+        tuple[VehicleId, ...], about("the vehicles on one side; all others are on the other", min_length=1)
     ]
     from_s: FlightTime
     until_s: FlightTime
     lost: Annotated[
         Literal["both", "received", "sent"],
-        Meta(description="which packets of these vehicles are lost: `received` ones, `sent` ones, or `both`"),
+        about("which packets of these vehicles are lost: `received` ones, `sent` ones, or `both`"),
     ] = "both"
 
     def separates(self, sender: int, receiver: int, now_s: float) -> bool:
@@ -182,29 +167,27 @@ class Links(Section, frozen=True):
     The defaults are as measured between real processes on one machine. A packet also waits for the next tick of its receiver.
     """
 
-    telemetry_delay_s: Annotated[
-        DelaySeconds, Meta(description="from sampling to the tick of the agent; `sitl run` only")
-    ] = 0.0003
-    setpoint_delay_s: Annotated[
-        DelaySeconds, Meta(description="from the tick of the agent to the autopilot; `sitl run` only")
-    ] = 0.0005
-    peer_delay_s: Annotated[DelaySeconds, Meta(description="smallest delay between agents")] = 0.001
+    telemetry_delay_s: Annotated[DelaySeconds, about("from sampling to the tick of the agent; `sitl run` only")] = (
+        0.0003
+    )
+    setpoint_delay_s: Annotated[DelaySeconds, about("from the tick of the agent to the autopilot; `sitl run` only")] = (
+        0.0005
+    )
+    peer_delay_s: Annotated[DelaySeconds, about("smallest delay between agents")] = 0.001
     peer_jitter_s: Annotated[
         DelaySeconds,
-        Meta(description="largest addition to that delay, uniformly distributed; above 0.02 s packets are reordered"),
+        about("largest addition to that delay, uniformly distributed; above 0.02 s packets are reordered"),
     ] = 0.0
-    peer_loss: Annotated[Share, Meta(description="share of the packets between agents that are lost")] = 0.0
-    peer_duplicates: Annotated[Share, Meta(description="share of the packets between agents that arrive twice")] = 0.0
+    peer_loss: Annotated[Share, about("share of the packets between agents that are lost")] = 0.0
+    peer_duplicates: Annotated[Share, about("share of the packets between agents that arrive twice")] = 0.0
     peer_transport: Annotated[
         Literal["tcp", "udp"],
-        Meta(
-            description="how real processes exchange states: over Zenoh in TCP streams, or as UDP datagrams; `sitl run` always"
+        about(
+            "how real processes exchange states: over Zenoh in TCP streams, or as UDP datagrams; `sitl run` always"
             " loses and delays single packets, as with datagrams"
         ),
     ] = "tcp"
-    partitions: Annotated[
-        tuple[Partition, ...], Meta(description="times in which vehicles receive nothing from each other")
-    ] = ()
+    partitions: Annotated[tuple[Partition, ...], about("times in which vehicles receive nothing from each other")] = ()
 
     @property
     def disturb_peers(self) -> bool:
@@ -217,12 +200,10 @@ class AutopilotFile(Section, frozen=True):
     """The file of `sitl autopilot --config`: one simulated vehicle."""
 
     id: VehicleId = 1
-    world_origin: Annotated[GeodeticOrigin, Meta(description="zero of the world frame (ENU)")] = DEFAULT_ORIGIN
-    start_enu_m: Annotated[PositionM, Meta(description="start in the world frame")] = (0.0, 0.0, 0.0)
-    origin_enu_m: (
-        Annotated[PositionM, Meta(description="zero of the autopilot's own frame; without a value at the start")] | None
-    ) = None
-    start_yaw_deg: Annotated[
-        float, Meta(ge=-360, le=360, description="yaw at the start: 0 is east, counterclockwise")
-    ] = 0.0
+    world_origin: Annotated[GeodeticOrigin, about("zero of the world frame (ENU)")] = DEFAULT_ORIGIN
+    start_enu_m: Annotated[PositionM, about("start in the world frame")] = (0.0, 0.0, 0.0)
+    origin_enu_m: Annotated[
+        PositionM | None, about("zero of the autopilot's own frame; without a value at the start")
+    ] = None
+    start_yaw_deg: Annotated[float, about("yaw at the start: 0 is east, counterclockwise", ge=-360, le=360)] = 0.0
     stand_in: StandIn = StandIn()
