@@ -75,15 +75,9 @@ class Agents:
         prcs = laws.next_prcs(packets[:, :, PRC], used.fresh, group)
         shares = laws.by_hops(packets[:, :, SHARE], packets[:, :, PRC], used.fresh, group)
         weighted_sum, has_neighbours = _weighted_sum(used, packets, shares)
-        acceleration = laws.acceleration(
-            group,
-            own,
-            self._hold_altitude_m,
-            weighted_sum,
-            has_neighbours,
-            self._references.leaders[phase],
-            self._references.at(phase, reference_s),
-        )
+        leaders, reference = self._references.leaders[phase], self._references.at(phase, reference_s)
+        hold_m = self._hold_altitude_m
+        acceleration = laws.acceleration(group, own, hold_m, weighted_sum, has_neighbours, leaders, reference)
         self._commands.limit(acceleration, group)
         sent = np.empty((WIDTH, prcs.size))
         sent[:6], sent[ACCELERATION], sent[PRC] = own, acceleration, prcs

@@ -137,14 +137,8 @@ class Simulation:
             scenarios, columns, columns.in_columns(start.positions_enu_m), columns.in_columns(start.velocities_enu_m_s)
         )
         all_columns = slice(0, columns.count)
-        self._agents = Agents(
-            scenarios,
-            columns,
-            laws,
-            self.references,
-            candidates_of(scenarios, columns),
-            self._autopilots.telemetry(all_columns),
-        )
+        candidates, telemetry = candidates_of(scenarios, columns), self._autopilots.telemetry(all_columns)
+        self._agents = Agents(scenarios, columns, laws, self.references, candidates, telemetry)
         self._autopilots.begin(self._agents.targets(all_columns))
 
     @property

@@ -97,16 +97,12 @@ class FleetProcesses(AbstractContextManager["FleetProcesses"]):
 
     def _spawn(self, name: str, ids: Sequence[int], module: str, *arguments: str, folder: Path) -> None:
         log = folder / f"{name.replace(' ', '_')}.log"
+        python = [sys.executable, "-m"]
+        command = [*python, "sitl.flight.bound", str(os.getpid()), *python, module, *arguments]
         with log.open("wb") as output:
+            # In a session of its own: Ctrl-C in the terminal reaches the parent alone, which lands first.
             process = subprocess.Popen(
-                [
-                    *(sys.executable, "-m", "sitl.flight.bound", str(os.getpid())),
-                    *(sys.executable, "-m", module, *arguments),
-                ],
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,  # Ctrl-C in the terminal reaches the parent alone, which lands first
+                command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
             )
         self._children = (*self._children, Child(name, tuple(ids), log, process))
 

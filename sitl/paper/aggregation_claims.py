@@ -227,15 +227,11 @@ def _comparison_text(better: dict[LawName, bool], kept: dict[tuple[LawName, Mode
     text = f"With perfect sensors and both models better than {join_words(than) if than else 'neither average law'}"
     if than and len(than) < len(AVERAGES):
         text += f", not better than {join_words(NAMES[law] for law in AVERAGES if not better[law])}"
-    edges_alone = [
-        NAMES[law]
-        for law in AVERAGES
-        if all(
-            kept[compared, m].in_parts_s == 0.0 and kept[compared, m].connected_at_end
-            for compared in ("weighted", law)
-            for m in PERFECT
-        )
-    ]
+
+    def stays_in_one(law: LawName) -> bool:
+        return all(kept[law, m].in_parts_s == 0.0 and kept[law, m].connected_at_end for m in PERFECT)
+
+    edges_alone = [NAMES[law] for law in AVERAGES if stays_in_one(law) and stays_in_one("weighted")]
     if edges_alone:
         text += f"; compared with {join_words(edges_alone)} only in the time of edges out of range: both graphs stay connected"
     return text + "."

@@ -184,13 +184,8 @@ def _followers_respond_faster(book: Book) -> Claim:
 def highest_deviation_m(entry: FlownPlan) -> float:
     """Largest deviation of a neighbour distance from the desired one, above or below."""
     figures = entry.figures
-    return max(
-        max(
-            figures.max_distance_m[p] - figures.wanted_distance_m[p],
-            figures.wanted_distance_m[p] - figures.min_distance_m[p],
-        )
-        for p in PAIRS
-    )
+    wanted_m, most_m, least_m = figures.wanted_distance_m, figures.max_distance_m, figures.min_distance_m
+    return max(max(most_m[pair] - wanted_m[pair], wanted_m[pair] - least_m[pair]) for pair in PAIRS)
 
 
 def _highest_peak_is_lower(book: Book) -> Claim:

@@ -262,27 +262,20 @@ def _condition_of_proposition_2(survey: GraphSurvey) -> str:
 def proposition_2_against_26(survey: GraphSurvey) -> Claim:
     """The same for eq. 26, the law of the comparison in section 5.1, on small graphs with one leader and on random ones."""
     pairs = survey.one_leader
-    worse = _below_26(pairs)
     drawn = [spectra for spectra in survey.drawn if len(spectra.pair.leaders) == 1]
-    worse_drawn = _below_26(drawn)
     # Rounded, so that of equal values the smallest graph is named.
     worst = min(pairs, key=lambda spectra: round(spectra.lambda_min / spectra.lambda_min_26, 9))
     own = spectra_of(Led(aggregation_graph(), frozenset({1})))
     several = [spectra for spectra in survey.small if len(spectra.pair.leaders) > 1]
-    fails = bool(worse) or own.lambda_min < own.lambda_min_26 - ROUNDING
+    fails = bool(_below_26(pairs)) or own.lambda_min < own.lambda_min_26 - ROUNDING
     measured = {
-        "pairs": float(len(pairs)),
-        "pairs_below": float(len(worse)),
-        "pairs_random": float(len(drawn)),
-        "pairs_random_below": float(len(worse_drawn)),
-        "pairs_several_leaders": float(len(several)),
-        "pairs_several_leaders_below": float(len(_below_26(several))),
-        "worst_lambda_min_weighted": worst.lambda_min,
-        "worst_lambda_min_eq_26": worst.lambda_min_26,
-        "eq_27_lambda_min_weighted": own.lambda_min,
-        "eq_27_lambda_min_eq_26": own.lambda_min_26,
-        "eq_27_lambda_min_eq_22": own.lambda_min_22,
+        f"pairs{kind}{which}": float(len(found))
+        for kind, all_pairs in (("", pairs), ("_random", drawn), ("_several_leaders", several))
+        for which, found in (("", all_pairs), ("_below", _below_26(all_pairs)))
     }
+    for name, one in (("worst", worst), ("eq_27", own)):
+        measured |= {f"{name}_lambda_min_weighted": one.lambda_min, f"{name}_lambda_min_eq_26": one.lambda_min_26}
+    measured["eq_27_lambda_min_eq_22"] = own.lambda_min_22
     return claim_of(
         "proposition-2-vs-26",
         verdict_of(not fails),

@@ -59,17 +59,8 @@ def words() -> Words:
 def claim_of(id_: str, verdict: ClaimVerdict, measured: dict[str, float], **values: object) -> Claim:
     """A claim in its words, with these values and those measured in them. Raises KeyError for an unknown id or value."""
     own, values = words().claims[id_], measured | values
-    return Claim(
-        id=id_,
-        where=own.where,
-        claim=own.claim,
-        paper=own.paper.format(**values),
-        ideal=own.ideal.format(**values),
-        full=own.full.format(**values),
-        verdict=verdict,
-        remark=own.remark.format(**values),
-        measured=measured,
-    )
+    texts = {name: getattr(own, name).format(**values) for name in own.__struct_fields__}
+    return Claim(id=id_, verdict=verdict, measured=measured, **texts)
 
 
 def erratum_of(place: str, **values: object) -> Erratum:
