@@ -132,11 +132,9 @@ class References:
 
     def positions_enu_m(self, reference_s: FloatArray) -> FloatArray:
         """r (ticks, 3) where all formations have the same, else (ticks, B, 3)."""
+        times_s = np.maximum(0.0, reference_s).tolist()
         of_kind = np.array(
-            [
-                [trajectory(t).position_enu_m for trajectory in self._trajectories]
-                for t in np.maximum(0.0, reference_s).tolist()
-            ]
+            [[reference(time_s).position_enu_m for reference in self._trajectories] for time_s in times_s]
         )
         return of_kind[:, 0] if len(self._trajectories) == 1 else of_kind[:, self._of_formation]
 

@@ -151,10 +151,8 @@ def joining(random: Random, fleet: DrawnFleet) -> FamilyPlan:
 
 def formation_change(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """Two changes of the shape, the second sometimes during the first."""
-    first_s, gap_s = (
-        to_thousandth(random.uniform(4.0, 7.0)),
-        to_thousandth(random.choice((2.0, random.uniform(6.0, 9.0)))),
-    )
+    first_s = to_thousandth(random.uniform(4.0, 7.0))
+    gap_s = to_thousandth(random.choice((2.0, random.uniform(6.0, 9.0))))
     steps = [step("formation", at_s, formation=shape_change(random, fleet)) for at_s in (first_s, first_s + gap_s)]
     return FamilyPlan(slow(random, fleet), steps, slots_from_s=first_s + gap_s, lasts_s=32.0)
 
@@ -212,10 +210,8 @@ def fast(random: Random, fleet: DrawnFleet) -> FamilyPlan:
             x, y, _z = moved((*corners[-1], 0.0), direction(random, random.uniform(5.0, 15.0)))
             corners.append((x, y))
         points = [[x, y, fleet.height_m] for x, y in corners]
-        limits = {
-            "max_speed_m_s": to_thousandth(random.uniform(2.0, 8.0)),
-            "max_acceleration_m_s2": to_thousandth(acceleration_m_s2),
-        }
+        speed_m_s = to_thousandth(random.uniform(2.0, 8.0))
+        limits = {"max_speed_m_s": speed_m_s, "max_acceleration_m_s2": to_thousandth(acceleration_m_s2)}
         return FamilyPlan({"kind": kind, "points_enu_m": points, **limits}, lasts_s=25.0)
     period_s = to_thousandth(2.0 * pi * (radius_m / acceleration_m_s2) ** 0.5 * (1.0 if kind == "circle" else 1.5))
     size = {"radius_m": radius_m} if kind == "circle" else {"width_m": 2.0 * radius_m, "height_m": radius_m}

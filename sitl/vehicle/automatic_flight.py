@@ -99,11 +99,8 @@ class AutomaticFlight:
         self._task = task
         self._home = home_deg_deg_m
         self._stage, self._waited_s, self.landing = Stage.CLIMB, 0.0, False
-        self._control.stop(
-            self._quad.estimated_position_local_enu_m(),
-            self._quad.estimated_velocity_enu_m_s(),
-            self._quad.estimated_euler_rad()[2],
-        )
+        position_m, velocity_m_s, euler_rad = self._quad.estimate()
+        self._control.stop(position_m, velocity_m_s, euler_rad[2])
         speeds = self._speeds()
         self._set_speeds(speeds.level_m_s, speeds.climb_m_s)
         if task is Task.TAKE_OFF:
@@ -168,12 +165,7 @@ class AutomaticFlight:
         return self._control_setpoint(dt_s)
 
     def _control_setpoint(self, dt_s: float) -> AttitudeSetpoint:
-        return self._control.setpoint(
-            self._quad.estimated_position_local_enu_m(),
-            self._quad.estimated_velocity_enu_m_s(),
-            self._quad.estimated_euler_rad(),
-            dt_s,
-        )
+        return self._control.setpoint(*self._quad.estimate(), dt_s)
 
     def _sink(self, climb_m_s: float, yaw_rad: float) -> AttitudeSetpoint:
         lift = 1.0 + SINK_GAIN_1_S * (-self._speeds().sink_m_s - climb_m_s) / GRAVITY_M_S2

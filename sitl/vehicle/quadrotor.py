@@ -116,6 +116,10 @@ class Quadrotor:
         """Roll, pitch, yaw of FLU in ENU."""
         return euler_from_quaternion(self.estimated_quaternion())
 
+    def estimate(self) -> tuple[Vector3, Vector3, Vector3]:
+        """Estimated position [m] and velocity [m/s] in the local ENU frame, and roll, pitch, yaw [rad]."""
+        return self.estimated_position_local_enu_m(), self.estimated_velocity_enu_m_s(), self.estimated_euler_rad()
+
     def step(self, setpoint: AttitudeSetpoint) -> None:
         """Advance by dt_s under this setpoint."""
         state = before = self.state

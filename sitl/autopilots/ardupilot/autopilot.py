@@ -285,12 +285,9 @@ class ArduCopter(Autopilot):
             boost = 1.0
             if followed.rates_rad_s is None and self.parameters["ATC_ANGLE_BOOST"]:
                 boost = 1.0 / max(cos_tilt(followed.quaternion), LEAST_COS_TILT)
-            self.setpoint = AttitudeSetpoint(
-                followed.quaternion,
-                min(self.commanded_thrust_norm * boost, 1.0),
-                followed.yaw_rate_rad_s,
-                followed.rates_rad_s,
-            )
+            thrust_norm = min(self.commanded_thrust_norm * boost, 1.0)
+            turn = (followed.yaw_rate_rad_s, followed.rates_rad_s)
+            self.setpoint = AttitudeSetpoint(followed.quaternion, thrust_norm, *turn)
 
     def _takes_thrust(self) -> bool:
         return bool(int(self.parameters["GUID_OPTIONS"]) & THRUST_INSTEAD_OF_CLIMB_RATE)
