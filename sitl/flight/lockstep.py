@@ -243,12 +243,9 @@ class VirtualAgent:
 
     def tick(self, now_s: float) -> None:
         runs = self._process_runs(now_s)
-        inbox = Inbox(
-            self.link.drain(now_s),
-            self.network.receive(self.vehicle_id, now_s),
-            self._commands,
-            targets=tuple([ReceivedTarget(now_s, name, target) for name, target in self._targets]),
-        )
+        telemetry, packets = self.link.drain(now_s), self.network.receive(self.vehicle_id, now_s)
+        targets = tuple([ReceivedTarget(now_s, name, target) for name, target in self._targets])
+        inbox = Inbox(telemetry, packets, self._commands, targets=targets)
         self._commands, self._targets = (), ()
         if not runs:  # the input is lost: nothing waits for the next process
             return

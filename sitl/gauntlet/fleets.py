@@ -167,13 +167,10 @@ def on_grid(point: Sequence[float]) -> Vector3:
 
 def sections(fleet: DrawnFleet, random: Random) -> dict[str, Any]:
     """The scenario of the fleet as plain content, still without reference and timeline."""
+    roles = dict.fromkeys(fleet.ids, "follower") | {fleet.leader: "leader"}
+    may_lead = (fleet.leader, fleet.successor)
     vehicles = [
-        {
-            "id": i,
-            "role": "leader" if i == fleet.leader else "follower",
-            "slot_enu_m": list(slot),
-            "may_lead": i in (fleet.leader, fleet.successor),
-        }
+        {"id": i, "role": roles[i], "slot_enu_m": list(slot), "may_lead": i in may_lead}
         for i, slot in fleet.slots_enu_m.items()
     ]
     settings: dict[str, Any] = {

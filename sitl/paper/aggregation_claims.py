@@ -156,7 +156,7 @@ def _average_fails(book: Book) -> Claim:
         "fig-4-average",
         verdict_of(all(fails.values()), fails["average_26"]),
         {f"leader_alone_from_s_{law}_{model}": s for (law, model), s in left_s.items()}
-        | {f"gathered_average_22_{m}": float(has_gathered(flown["average_22", m])) for m in PERFECT}
+        | {f"gathered_average_22_{m}": has_gathered(flown["average_22", m]) for m in PERFECT}
         | {"flown_s": flown_s},
         few_s=FEW_S,
         others=others,
@@ -183,7 +183,7 @@ def _weighted_succeeds(book: Book) -> Claim:
         "fig-4-weighted",
         verdict_of(succeeds and 0 < len(noisy) == noisy_gathered, succeeds),
         {f"settle_s_{model}": entry.settle_s for model, entry in entries.items()}
-        | {"noisy_flights": float(len(noisy)), "noisy_flights_gathered": float(noisy_gathered)}
+        | {"noisy_flights": len(noisy), "noisy_flights_gathered": noisy_gathered}
         | {f"leader_alone_s_{model}": total_s(alone_s(e.flight, LEADER, range_m(e))) for model, e in entries.items()}
         | {"spare_range_mm": spare_mm, "formation_s": ideal.figures.duration_s},
         **results(result),
@@ -210,8 +210,8 @@ def _weighted_keeps_together(book: Book) -> Claim:
         "fig-4-robust",
         verdict_of(all(better.values()) and with_noise, any(better.values())),
         {f"{name}_{law}_{m}": value for (law, m), found in kept.items() for name, value in found.measured().items()}
-        | {f"noisy_flights_{law}": float(len(flights)) for law, flights in noisy.items()}
-        | {f"noisy_flights_connected_{law}": float(count) for law, count in whole.items()}
+        | {f"noisy_flights_{law}": len(flights) for law, flights in noisy.items()}
+        | {f"noisy_flights_connected_{law}": count for law, count in whole.items()}
         | {"compared_over_s": window_s},
         comparison=_comparison_text(better, kept),
         with_noise=join_words(

@@ -251,7 +251,7 @@ def figure_2() -> Claim:
         "fig-2",
         verdict_of(right),
         {f"weight_3_{j}": weight for j, weight in ours.items()}
-        | {"largest_difference": worst, "distance_1_5_hops": float(distance)},
+        | {"largest_difference": worst, "distance_1_5_hops": distance},
         weights=weights,
     )
 

@@ -131,7 +131,7 @@ def _one_peak_is_smaller(book: Book) -> Claim:
     return claim_of(
         "fig-6-one-peak",
         verdict_of(all(two == 2 for two in as_stated.values()), 2 in as_stated.values()),
-        {f"peaks_smaller_{law}_{model}": float(len(pairs)) for (law, model), pairs in found.items()},
+        {f"peaks_smaller_{law}_{model}": len(pairs) for (law, model), pairs in found.items()},
         against=", ".join(f"against {NAMES[law]} with {both[law]}" for law in AVERAGES),
         **results(result),
     )
@@ -170,7 +170,7 @@ def _followers_respond_faster(book: Book) -> Claim:
             all(faster.values()) and 0 < len(noisy) == noisy_faster,
             any(faster.values()) or noisy_faster > len(noisy) / 2,
         ),
-        {"noisy_pairs": float(len(noisy)), "noisy_pairs_faster": float(noisy_faster)}
+        {"noisy_pairs": len(noisy), "noisy_pairs_faster": noisy_faster}
         | {
             f"behind_uav_1_s_uav_{i}_{law}_{model}": s
             for (law, model), each in late_s.items()
@@ -208,7 +208,7 @@ def _highest_peak_is_lower(book: Book) -> Claim:
             all(lower.values()) and 0 < len(noisy) == noisy_lower and not not_both_ways,
             any(lower.values()) or noisy_lower > len(noisy) / 2,
         ),
-        {"noisy_pairs": float(len(noisy)), "noisy_pairs_lower": float(noisy_lower)}
+        {"noisy_pairs": len(noisy), "noisy_pairs_lower": noisy_lower}
         | {f"peak_m_{law}_{model}": m for (law, model), m in peak_m.items()}
         | {f"deviation_either_side_m_{law}_{model}": m for (law, model), m in both_ways_m.items()},
         exceptions=exceptions(lower),

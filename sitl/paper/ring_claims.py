@@ -176,7 +176,7 @@ def _reported_weights(book: Book) -> Claim:
         "fig-10-matrices",
         verdict_of(both_led and max(worst.values()) <= EXACT),
         {f"largest_difference_{model}": off for model, off in worst.items()}
-        | {f"leads_{model}": float(len(each)) for model, each in spans.items()},
+        | {f"leads_{model}": len(each) for model, each in spans.items()},
         **results(lambda model: f"{worst[model]:.1g} in {len(spans[model])} leaderships"),
     )
 
@@ -192,7 +192,7 @@ def _changes_at_once(book: Book) -> Claim:
         "fig-10-at-once",
         verdict_of(all(each and max(each) <= AT_ONCE_S for each in late_s.values())),
         {f"weights_follow_lead_s_{model}": max(each, default=inf) for model, each in late_s.items()}
-        | {f"changes_{model}": float(len(each)) for model, each in late_s.items()},
+        | {f"changes_{model}": len(each) for model, each in late_s.items()},
         at_once_s=AT_ONCE_S,
         **results(result),
     )

@@ -37,11 +37,7 @@ def lemma_1(survey: GraphSurvey) -> Claim:
     smallest = min(survey.all, key=lambda spectra: spectra.lambda_min)
     in_parts = [float(_spectrum(unite(random_parts(random))).real.min()) for _ in range(UNIONS)]
     least = min(smallest.lambda_min, *in_parts)
-    measured = {
-        "graphs_in_parts": float(UNIONS),
-        "smallest_eigenvalue": least,
-        "smallest_eigenvalue_in_parts": min(in_parts),
-    }
+    measured = {"graphs_in_parts": UNIONS, "smallest_eigenvalue": least, "smallest_eigenvalue_in_parts": min(in_parts)}
     where = {"smallest": smallest.lambda_min, "where_smallest": describe(smallest.pair)}
     return survey.claim("lemma-1", verdict_of(least > ROUNDING), measured, **where)
 
@@ -67,7 +63,7 @@ def lemma_1_converse(survey: GraphSurvey) -> Claim:
     return claim_of(
         "lemma-1-converse",
         verdict_of(singular),
-        {"graphs": float(len(nearest)), "largest_distance_from_zero": largest},
+        {"graphs": len(nearest), "largest_distance_from_zero": largest},
         vertices=survey.most_vertices,
         unions=UNIONS,
         remark=remark,
@@ -84,7 +80,7 @@ def lemma_2(survey: GraphSurvey) -> Claim:
         "largest_imaginary_part": imaginary,
         "largest_asymmetry": asymmetry,
         "largest_gap_of_solvers": gap,
-        "pairs_not_symmetric": float(unsymmetric),
+        "pairs_not_symmetric": unsymmetric,
     }
     return survey.claim("lemma-2", verdict_of(max(imaginary, asymmetry, gap) < ROUNDING), measured)
 
@@ -153,9 +149,9 @@ class GraphSurvey:
     def counts(self) -> dict[str, float]:
         return {
             "pairs": float(len(self.small) + len(self.drawn)),
-            "pairs_small": float(len(self.small)),
-            "pairs_small_one_leader": float(len(self.one_leader)),
-            "pairs_random": float(len(self.drawn)),
+            "pairs_small": len(self.small),
+            "pairs_small_one_leader": len(self.one_leader),
+            "pairs_random": len(self.drawn),
         }
 
     def claim(self, id_: str, verdict: ClaimVerdict, measured: dict[str, float], **values: object) -> Claim:

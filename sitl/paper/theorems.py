@@ -82,11 +82,11 @@ def algorithm_1(survey: GraphSurvey, progress: Progress = no_progress) -> Claim:
     good = not wrong and not late and not late_from_any
     pairs = len(survey.all)
     measured = {
-        "pairs_wrong": float(wrong),
-        "pairs_late": float(late),
-        "pairs_late_from_random_start": float(late_from_any),
-        "slowest_ticks_beyond_diameter_plus_1": float(slowest),
-        "pairs_right_as_printed": float(printed_right),
+        "pairs_wrong": wrong,
+        "pairs_late": late,
+        "pairs_late_from_random_start": late_from_any,
+        "slowest_ticks_beyond_diameter_plus_1": slowest,
+        "pairs_right_as_printed": printed_right,
     }
     return survey.claim(
         "algorithm-1",
@@ -104,8 +104,8 @@ def _without_leader(survey: GraphSurvey) -> dict[str, float]:
     settled = [ticks_to_settle(graph, (), dict.fromkeys(graph, 1)) for graph in graphs]
     at_n = sum(set(prcs.values()) == {len(graph)} for graph, (prcs, _) in zip(graphs, settled, strict=True))
     return {
-        "graphs_without_leader": float(len(graphs)),
-        "graphs_without_leader_at_n": float(at_n),
+        "graphs_without_leader": len(graphs),
+        "graphs_without_leader_at_n": at_n,
         "most_ticks_of_the_climb": float(max(ticks for _, ticks in settled)),
     }
 
@@ -162,7 +162,7 @@ def _proposition_1(survey: GraphSurvey, abscissas: Abscissas) -> Claim:
         "proposition-1",
         verdict_of(positive and worst < 0.0),
         {f"largest_abscissa_1_s_{_key(_name(gains))}": float(own.max()) for gains, own in abscissas.items()}
-        | {f"pairs_beyond_eq_20_{_key(name)}": float(count) for name, count in beyond.items()},
+        | {f"pairs_beyond_eq_20_{_key(name)}": count for name, count in beyond.items()},
         worst=worst,
         sets=len(abscissas),
         remark=remark,
@@ -185,7 +185,7 @@ def _corollary_1(survey: GraphSurvey, abscissas: Abscissas) -> Claim:
         "corollary-1",
         verdict_of(not any(off.values()), not off[paper]),
         {f"largest_deviation_{_key(name)}": float(np.abs(share - 1.0).max()) for name, share in shares.items()}
-        | {f"pairs_not_proportional_{_key(name)}": float(count) for name, count in off.items()}
+        | {f"pairs_not_proportional_{_key(name)}": count for name, count in off.items()}
         | {f"lambda_limit_{_key(name)}": limit for name, limit in limits.items()},
         half_k2=PAPER_GAINS.velocity_1_s / 2.0,
         off=np.abs(shares[paper] - 1.0).max(),
@@ -233,10 +233,10 @@ def proposition_2_against_22(survey: GraphSurvey) -> Claim:
     fails_there = against.lambda_min < against.lambda_min_22 - ROUNDING
     remark = _where_it_is_below(worse[0]) if worse else _condition_of_proposition_2(survey) if fails_there else ""
     measured = {
-        "pairs_below": float(len(worse)),
-        "pairs_equal": float(equal),
+        "pairs_below": len(worse),
+        "pairs_equal": equal,
         "largest_ratio": ratio,
-        "contrary_vertices": float(len(against.pair.graph)),
+        "contrary_vertices": len(against.pair.graph),
         "contrary_lambda_min_weighted": against.lambda_min,
         "contrary_lambda_min_eq_22": against.lambda_min_22,
     }
@@ -268,8 +268,8 @@ def proposition_2_against_26(survey: GraphSurvey) -> Claim:
     own = spectra_of(Led(aggregation_graph(), frozenset({1})))
     several = [spectra for spectra in survey.small if len(spectra.pair.leaders) > 1]
     fails = bool(_below_26(pairs)) or own.lambda_min < own.lambda_min_26 - ROUNDING
-    measured = {
-        f"pairs{kind}{which}": float(len(found))
+    measured: dict[str, float] = {
+        f"pairs{kind}{which}": len(found)
         for kind, all_pairs in (("", pairs), ("_random", drawn), ("_several_leaders", several))
         for which, found in (("", all_pairs), ("_below", _below_26(all_pairs)))
     }

@@ -60,7 +60,7 @@ def claim_of(id_: str, verdict: ClaimVerdict, measured: dict[str, float], **valu
     """A claim in its words, with these values and those measured in them. Raises KeyError for an unknown id or value."""
     own, values = words().claims[id_], measured | values
     texts = {name: getattr(own, name).format(**values) for name in own.__struct_fields__}
-    return Claim(id=id_, verdict=verdict, measured=measured, **texts)
+    return Claim(id=id_, verdict=verdict, measured={name: float(value) for name, value in measured.items()}, **texts)
 
 
 def erratum_of(place: str, **values: object) -> Erratum:
