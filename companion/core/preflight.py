@@ -62,8 +62,8 @@ class Preflight:
         self._observer = observer  # begins with the hover thrust of the autopilot, once read
         self._hover_thrust_norm = observer.hover_thrust_norm  # configured in the vehicle file
         self._autopilot: AutopilotKind | None = None
-        self._profile: AutopilotProfile | None = None  # its
-        self._names: deque[str] = deque()  # in the order of the next requests
+        self._profile: AutopilotProfile | None = None  # profile of that autopilot type
+        self._names: deque[str] = deque()  # parameters to request; the first one is next
         self._survey = Survey()
         self._values: dict[str, float] = {}
         self._asked: Counter[str] = Counter()

@@ -28,7 +28,7 @@ from companion.types.commands import NUMBERS_AHEAD, Command, CommandName, Comman
 from companion.types.flight import OF_THE_FLEET, RULES, HealthFlag, Role
 from companion.types.notices import Answer, Code, Notice, refuse
 
-ABORT_NUMBER = 0  # in place of its own, which may be that of another command
+ABORT_NUMBER = 0  # replaces the number of an abort, which another command may have
 
 
 class Intake(Struct, frozen=True, gc=False):
@@ -52,9 +52,9 @@ class CommandArbitration:
         self._last_answer: Answer | None = None
         self.holder = ""
         self.number = 0
-        self.idle = Intake()  # of a tick without commands
-        self._unanswered: dict[int, Command] = {}  # by number: their check takes several ticks
-        self._aborted_by = ""  # since the last other command
+        self.idle = Intake()  # the result of every tick without commands
+        self._unanswered: dict[int, Command] = {}  # commands whose check takes several ticks, by number
+        self._aborted_by = ""  # operator of an abort since the last other command
 
     def step(self, commands: tuple[Command, ...]) -> Intake:
         """Admit or answer the commands of one tick."""

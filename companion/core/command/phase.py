@@ -92,10 +92,10 @@ class PhaseMachine:
         self._rule: Rule | None = None
         self._running: RunningProcedure | None = None
         self._leaving_formation = False
-        self._level_until_s = float("-inf")  # of a hand-over
+        self._level_until_s = float("-inf")  # until then level attitude is streamed, before another mode takes over
         self._tolerated: frozenset[AutopilotMode] = frozenset()
         self.events: list[Notice] = []
-        self._seen: tuple[object, ...] = ()  # by `observe` in the last tick
+        self._seen: tuple[object, ...] = ()  # inputs of `observe` in the last tick
         self._observed = Flight()
 
     def streams(self, vehicle: VehicleState) -> bool:

@@ -233,9 +233,9 @@ def next_prc(is_leader: bool, neighbour_prcs: Iterable[int], n: int) -> int:
     return least + 1
 
 
-INTERVENES_M_S2 = 0.3  # less comes and goes with noise
-LASTS_S = 3.0  # after the last intervention
-BACK_WITHIN_M = 0.1  # of the slot: from there on its own position counts again
+INTERVENES_M_S2 = 0.3  # a smaller intervention comes and goes with noise
+LASTS_S = 3.0  # the vehicle counts as kept off for this time after the last intervention
+BACK_WITHIN_M = 0.1  # this near to its slot, a vehicle publishes its own position again
 # So does it where the vehicle comes no nearer: on an RFT that moves, the law itself may lag more than that.
 NEARER_M, NEARER_WITHIN_S = 0.02, 1.0
 
@@ -251,7 +251,10 @@ class KeptOff:
     def __init__(self) -> None:
         self._intervened_s = -inf
         self.is_kept_off = False
-        self._nearest_m, self._nearer_s = inf, -inf  # on the way back, and when it came so near
+        self._nearest_m, self._nearer_s = (
+            inf,
+            -inf,
+        )  # least distance from the slot on the way back, and when it was reached
 
     def intervened(self, now_s: float, taken_m_s2: float) -> bool:
         """Whether it is, or was and is not back yet. `taken_m_s2`: of the acceleration that the law wants, by vehicles."""

@@ -31,14 +31,14 @@ from enum import Enum, auto
 
 from msgspec import Struct
 
-SEQUENCES_AHEAD = 500  # and SEQUENCES_PER_S since the last message; 50 a second are sent
+SEQUENCES_AHEAD = 500  # largest step of the sequence, plus SEQUENCES_PER_S since the last message; 50 a second are sent
 SEQUENCES_PER_S = 1000.0
 DRIFT = 2e-4  # seconds per second; the clocks of two computers drift apart by less
 STEP_S = 0.005  # a message may lower an offset with support by this much
-EARLY_S = 0.1  # and one without support; an earlier message is refused
-AGREES_S = 0.02  # later than the offset: a message that supports it
-EARLY_MESSAGES = 5  # in a row, to lower the offset by more
-LATE_MESSAGES = 25  # in a row, to raise it; also the support of an established offset, which is never raised
+EARLY_S = 0.1  # likewise for an offset without support; an earlier message is refused
+AGREES_S = 0.02  # a message that is later than the offset by at most this supports it
+EARLY_MESSAGES = 5  # so many early messages in a row lower the offset by more
+LATE_MESSAGES = 25  # so many in a row raise the offset; an offset with as much support is never raised
 
 
 class Disorder(Enum):

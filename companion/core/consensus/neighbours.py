@@ -78,10 +78,10 @@ class RangeRule:
 FORMATION = FlightPhase.FORMATION  # member lookup of an enum is slow
 LOW_RATE_TICKS = 10  # 5 Hz
 CHOICE_PERIOD_S = 0.2
-STATE_AGE_S = 0.2 + 0.2  # of a packet at 5 Hz, after another that is lost
-# That state, the next choice, the queue of subscriptions, and the first packet at 50 Hz
+STATE_AGE_S = 0.2 + 0.2  # age of the newest packet at 5 Hz when one packet was lost
+# From the state used for the choice to full rate: that age, the next choice, the subscription, the first packet at 50 Hz
 UNTIL_FULL_RATE_S = STATE_AGE_S + CHOICE_PERIOD_S + 0.1 + 0.1
-ROOM_M = 2.0  # for the lag of attitude, delays and the response of the separation filter
+ROOM_M = 2.0  # covers attitude lag, delays and the response of the separation filter
 STEADY_S = 2.0  # so long a peer is steady and far away before it is distant
 FARTHER = 1.2  # than needed it is then
 

@@ -108,7 +108,7 @@ def refusal_of_motion(packet: PeerPacket, limits: FleetLimits, known: FlownSlot 
     if slot != known and not _is_plausible_slot(slot, limits):
         return Code.PEER_SLOT_IMPLAUSIBLE
     sx, sy, sz = slot.velocity_enu_m_s
-    if not hypot(vx - sx, vy - sy, vz - sz) <= limits.speed_m_s:  # of the RFT that it flies by; also for NaN
+    if not hypot(vx - sx, vy - sy, vz - sz) <= limits.speed_m_s:  # too fast relative to the RFT, or NaN
         return Code.PEER_SLOT_IMPLAUSIBLE
     if packet.rft is not None and not _is_plausible_rft(packet.rft, limits):
         return Code.PEER_SLOT_IMPLAUSIBLE
@@ -154,7 +154,7 @@ CODES = {
 # yet: by longer extrapolation a small fleet lags less.
 EXTRAPOLATED_MOST_S = 0.04
 EXTRAPOLATED_NEAR_LEADER_S, NEAR_LEADER_PRC = 0.08, 3
-DISTANT_MAX_AGE_S = 1.0  # of a peer that is received at 5 Hz: four lost packets, and the usual delay
+DISTANT_MAX_AGE_S = 1.0  # for a peer received at 5 Hz: four lost packets and the usual delay
 FULL_RATE_WITHIN_S = 0.5  # after such a peer is to be received at 50 Hz, its first packets have arrived
 JUMP_MARGIN_M = 1.0  # an estimator correction may add this to the distance flown between two packets
 
@@ -171,7 +171,7 @@ class PeerState(Struct, frozen=True, gc=False):
     received_s: float
     least_apart_s: float
     measured_s: float
-    term: Term = (0, 0)  # of the leader beacon, (0, 0) without one
+    term: Term = (0, 0)  # term in the packet's leader beacon, (0, 0) without a beacon
 
     def position_at(self, now_s: float) -> Vector3:
         """Position extrapolated over its age, so that both sides of x_i - x_j refer to the same time."""

@@ -22,7 +22,7 @@ What always holds:
 - one packet of this vehicle is of one role and one term: a commanded role comes before everything that is received;
 - the term never falls but to the one before, from a term without a leader that is alive, or by command;
 - a beacon passed on never becomes younger, so it dies out within its largest age and one tick a hop;
-- PrC is 1 for a leader alone, and a leader of an older term counts as n: a deposed leader attracts nobody;
+- PrC is 1 for a leader alone, and a leader of an older term counts as n: a deposed leader attracts no vehicle;
 - mission time steps back on the ground alone, or with a leader whose beacons agree for longer than one can be wrong.
 
 Sources: the paper's section 4 (Algorithms 1 and 2); terms and claims as in Raft (Ongaro and Ousterhout 2014), without votes,
@@ -150,7 +150,7 @@ class ConsensusStage:
         self._succession = succession
         self._clock = MissionClock()
         self._led_s = -inf  # when a leader of the own term was last known
-        self._known_term: Term | None = None  # of the last tick, where a leader was known in it
+        self._known_term: Term | None = None  # term in the last tick; None if no leader was known then
         self._last_known_s = -inf  # the last tick with a leader known in the same term as in the tick before
         self._formed_s: float | None = None  # since when this vehicle is in formation
         self.leadership = leadership
@@ -383,7 +383,7 @@ class ConsensusStage:
                 of_other = None
             reference_s = self._clock.lead(now_s, in_formation, of_other, age_s)
             own = LeaderBeacon(self._own_id, lead.epoch, stamp, reference_s if in_formation else 0.0, lead.claim_rank)
-            self._leader.receive(now_s, [own], lead.term)  # its last beacon, should it become a follower
+            self._leader.receive(now_s, [own], lead.term)  # remembered in case this vehicle becomes a follower
             return own, 0.0, reference_s
         reference_s = self._clock.update(now_s, in_formation, of_other, age_s)
         if youngest is None:

@@ -57,7 +57,7 @@ class Setpoint(Struct, frozen=True, gc=False):
     largest_step_deg: float
     rejected: Mapping[str, int]
     separation: SeparationReport = UNFILTERED
-    rft: FormationState | None = None  # to publish where the separation filter keeps this vehicle off its slot
+    rft: FormationState | None = None  # published while the separation filter keeps this vehicle off its slot
 
 
 class SetpointStage:
@@ -87,7 +87,7 @@ class SetpointStage:
         self._drag_1_s = drag_1_s
         self._profiles = profiles
         self._hold_altitude_m = 0.0
-        self._separation = UNFILTERED  # of the last setpoint
+        self._separation = UNFILTERED  # what the filter reported with the last setpoint
         self._removed_m_s2 = 0.0  # from the acceleration that the law wants, by other vehicles
         self._kept_off = KeptOff()
 
@@ -233,10 +233,10 @@ class SetpointStream:
         self.observer = observer
         self.rejected: Counter[str] = Counter()
         self.largest_step_deg = 0.0
-        self.position_used_s = -inf  # of the newest position that was decided on
-        self.sent_s = 0.0  # of the last setpoint, or when the stream was opened
-        self._final_level_sent = False  # in this silence
-        self._commanded_enu_m_s2 = ZERO3  # by the last setpoint, less what it did against the disturbance
+        self.position_used_s = -inf  # time of the newest position used for a setpoint
+        self.sent_s = 0.0  # when the last setpoint was sent, or the stream opened
+        self._final_level_sent = False  # the last level setpoint before a silence was sent
+        self._commanded_enu_m_s2 = ZERO3  # commanded by the last setpoint, without the part against the disturbance
         self.sent = AttitudeTarget(0.0, 0.0, 0.0, 0.0)  # the last setpoint
         self._yaw_rad = 0.0
 

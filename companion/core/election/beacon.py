@@ -13,8 +13,8 @@ from msgspec import Struct
 
 from companion.types.formation import LeaderBeacon, Term
 
-STAMPS_PER_S = 1000.0  # of the leader's clock
-REMEMBERED = 0.7  # of the rise of the leader's clock: what was received may be wrong, so it fades
+STAMPS_PER_S = 1000.0  # a leader counts its stamps in milliseconds
+REMEMBERED = 0.7  # rate of the stored clock of a leader: it runs slow, so that true stamps overtake a wrong one
 STAMPS_AHEAD = 300  # what beacons on ways of different length differ by at most, ms
 CONFIRMED_S = 1.0  # longer than the last beacons of a dead leader are passed on
 GAP_S = 0.5  # longest time between two beacons of a rival
@@ -26,7 +26,7 @@ class _Kept(Struct, frozen=True, gc=False):
 
     beacon: LeaderBeacon
     received_s: float
-    clock_stamp: float  # of the leader's clock at this time at least, by all beacons so far
+    clock_stamp: float  # the leader's clock showed at least this at `received_s`
     rival_stamp: int = -1
     rival_since_s: float = inf
     rival_s: float = -inf

@@ -171,8 +171,8 @@ class Succession:
         self._turns = len(successors) + 2 if successors else 1
         self._term: Term = (0, 0)
         self._led_s = -inf
-        self._led = False  # in the last tick
-        self._returns_s = 0.0  # after the present term, where it has no leader
+        self._led = False  # whether the term had a leader in the last tick
+        self._returns_s = 0.0  # extra wait after a return from the present term to an older one
 
     def awaits(self, now_s: float, term: Term, led: bool, with_neighbours: bool, last_led_s: float = -inf) -> bool:
         """Whether a leader is known, or may still appear. `with_neighbours`: a neighbour flies in formation.

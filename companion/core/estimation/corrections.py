@@ -65,7 +65,7 @@ class PositionReset:
         return 0.0
 
 
-LARGEST_M_S = 0.6  # of the correction: a larger disagreement is no slow error of an estimator
+LARGEST_M_S = 0.6  # largest correction; slow estimator errors are smaller
 UNEXPLAINED_M = 0.2  # the position moved without a motion, beyond what the largest correction explains
 
 

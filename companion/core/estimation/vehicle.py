@@ -85,7 +85,7 @@ class VehicleTracker:
         self._jump_s = self._error_s = self._origin_asked_s = float("-inf")
         self._healthy_by_status = self._healthy_by_system = True  # ESTIMATOR_STATUS, SYS_STATUS
         self.rejected: Counter[str] = Counter()
-        self._events: list[Notice] = []  # of the fold in progress
+        self._events: list[Notice] = []  # raised while the current telemetry message is processed
         self._fields: dict[str, Any] = {"frame_known": self._frame_known()}  # newest value of every field
         self.state = VehicleState(**self._fields)
         self._folds: dict[type[Telemetry], Callable[[Any], None]] = {
@@ -282,8 +282,8 @@ class FleetFrame:
         self._fleet_origin = fleet_origin
         self._origin_reported = False
         self._offsets_enu_m: deque[Vector3] = deque(maxlen=COMPARISONS)
-        self.offset_enu_m: Vector3 | None = None  # of the local origin in the fleet frame
-        self.own_altitude_amsl_m: float | None = None  # of the local origin
+        self.offset_enu_m: Vector3 | None = None  # position of the autopilot's local origin in the fleet frame
+        self.own_altitude_amsl_m: float | None = None  # altitude of the autopilot's local origin
         self.contradicted = False
         self.forget()
 

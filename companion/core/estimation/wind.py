@@ -18,12 +18,12 @@ from msgspec import Struct
 from companion.geometry.vectors import between, clamped, shortened
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
-THRUST_LAG_S = 0.06  # of the motors, with the transport to them
+THRUST_LAG_S = 0.06  # lag of the motors and transport delay of the setpoints
 LONGEST_GAP_S = 0.2  # a longer gap in the measurements restarts the velocity; the estimates are kept
 MAX_DISTURBANCE_M_S2 = 4.0  # horizontal: a tilt of 22 degrees
 MAX_DISTURBANCE_RATE_M_S3 = 3.0
 HOVER_RANGE_NORM = (0.1, 0.9)
-MAX_HOVER_RATE_1_S = 0.3  # of hover thrust
+MAX_HOVER_RATE_1_S = 0.3  # the hover thrust estimate changes by at most this share of itself per second
 LARGEST_INNOVATION_M_S = 1.0
 RESET_M_S, RESET_M_S2 = 0.5, 30.0  # a larger velocity jump means that the autopilot's estimator was reset
 
@@ -53,8 +53,8 @@ class DisturbanceObserver:
         self._drag_1_s = drag_1_s
         self._bandwidth_1_s = bandwidth_1_s
         self._last: FlightSample | None = None
-        self._velocity_enu_m_s = ZERO3  # of the model
-        self._thrust_norm = 0.0  # of the motors, after their lag
+        self._velocity_enu_m_s = ZERO3  # velocity predicted by the model
+        self._thrust_norm = 0.0  # thrust of the motors in the model, after their lag
         self._has_flown = False
 
     def start_from(self, hover_thrust_norm: float) -> bool:
@@ -111,7 +111,7 @@ class DisturbanceObserver:
         """Acceleration of the model, m/s^2."""
         per_mass_m_s2 = self._thrust_norm / self.hover_thrust_norm * GRAVITY_M_S2
         roll_rad, pitch_rad, yaw_rad = motion.attitude_rad
-        unrolled_m_s2 = cos(roll_rad) * per_mass_m_s2  # its part in the vertical plane through the heading
+        unrolled_m_s2 = cos(roll_rad) * per_mass_m_s2  # part of the thrust in the vertical plane through the heading
         ahead_m_s2, left_m_s2 = sin(pitch_rad) * unrolled_m_s2, -sin(roll_rad) * per_mass_m_s2
         cos_yaw, sin_yaw = cos(yaw_rad), sin(yaw_rad)
         (vx, vy, vz), (dx, dy, _) = motion.velocity_enu_m_s, self.disturbance_enu_m_s2

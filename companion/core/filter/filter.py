@@ -29,7 +29,7 @@ from companion.types.peers import ReceivedTraffic
 from companion.types.status import SeparationReport
 from companion.types.values import Vector3
 
-TURN_STEPS = 3  # of the active set, for the turn to the right
+TURN_STEPS = 3  # active-set steps for the second solution, with the turn to the right
 
 
 class Filtered(Struct, frozen=True, gc=False):
@@ -61,7 +61,7 @@ class SafetyFilter:
         self._limits = limits
         self._gains = gains
         self._traffic = Traffic()
-        self.traffic = self._traffic.newest  # by name, as a view
+        self.traffic = self._traffic.newest  # live view of the newest traffic by name
 
     def receive(self, now_s: float, vehicle: VehicleState, traffic: Iterable[ReceivedTraffic]) -> None:
         """Take the traffic of this tick, in every phase."""
@@ -115,8 +115,8 @@ class SafetyFilter:
 
 OBSTACLE, FENCE, SPEED = Rank.OBSTACLE, Rank.FENCE, Rank.SPEED
 BOUNDARY_RESPONSE_1_S = 4.0  # k: how fast b may approach 0; 1/k is longer than the attitude lag
-SLOPE_1_S = 2.0  # of the approach speed near the boundary
-FASTEST_RETURN_M_S = 1.0  # demanded beyond the boundary
+SLOPE_1_S = 2.0  # approach speed per metre near the boundary
+FASTEST_RETURN_M_S = 1.0  # largest speed back that is demanded beyond the boundary
 # Twice gravity: no acceleration is larger, so a constraint that allows all up to this cannot matter.
 NEVER_WANTED_M_S2 = 20.0
 SPEED_RESPONSE_1_S = 2.0  # k of the speed limit; about PX4's MPC_XY_VEL_P_ACC, 1.8
@@ -205,8 +205,8 @@ class Bounds:
 
 
 REPORTED_M_S2 = 0.3  # smaller changes come and go with noise
-ENDS_AFTER_S = 2.0  # without a change: then the next one is another intervention
-PERIOD_S = 5.0  # at least, between two events
+ENDS_AFTER_S = 2.0  # an intervention ends after this time without a change
+PERIOD_S = 5.0  # shortest time between two events
 
 
 class Interventions:

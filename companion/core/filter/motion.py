@@ -37,10 +37,10 @@ class Ahead(Struct, frozen=True, gc=False):
 KEPT_S = 1.0  # an autopilot without setpoints keeps its attitude for so long
 # Decay of the speed of a level multirotor: drag of a small open quadrotor, less than most (analysis/pace.py).
 COAST_1_S = 0.25
-GROWS_S = 0.4  # from the expected position to the whole way
-DESCENT_M_S = 1.5  # of an autopilot that lands: PX4 MPC_Z_V_AUTO_DN, and more than its MPC_LAND_SPEED of 0.7
+GROWS_S = 0.4  # in this time the region of a silent vehicle grows from the expected position to all its way
+DESCENT_M_S = 1.5  # speed of an autopilot landing: PX4 MPC_Z_V_AUTO_DN, more than its MPC_LAND_SPEED of 0.7
 LANDS_S = 0.6  # PX4's smallest COM_OF_LOSS_T that the audit accepts (SHORTEST_TIMEOUT_S)
-SPEED_MARGIN_RATIO = 1.25  # of the speed limit: faster no vehicle is taken to fly in silence
+SPEED_MARGIN_RATIO = 1.25  # a silent vehicle is assumed to fly at most this times the speed limit
 COLUMN_M_S = 1.0  # growth of the distance that a vehicle below keeps
 
 Motion = tuple[Vector3, Vector3, Vector3]
@@ -206,7 +206,7 @@ class Motions:
 
     def __init__(self, own_id: int, silence: Silence) -> None:
         self._own_id = own_id
-        self._silence = silence  # of peers
+        self._silence = silence  # how a silent peer may fly
         self._silence_on_ground = replace(silence, lands=False)
         self._own_enu_m_s2 = ZERO3
         self._own_s: float | None = None

@@ -16,12 +16,12 @@ from msgspec import Struct
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
 MET_M_S2 = 1e-6  # a constraint that is violated by less is met
-LEAST_SHARE = 1e-12  # of an active normal in another one, below which it counts as none
+LEAST_SHARE = 1e-12  # a smaller share of one active normal in another counts as none
 LEAST_NEW = 1e-9  # share of a normal outside the span of the active ones, squared, below which it lies within
 TILT_ROUNDING = 1.01  # the tilt limit is a cone: its tangent planes are cut off this close to it
 NEVER_ACTIVE_M_S2 = -12.0  # beyond what any vehicle flies
 SURELY_POSSIBLE_M_S2 = 1.0
-MOST_STEPS = 5  # of the active set: bounds the time; the constraints violated most come first
+MOST_STEPS = 5  # most steps of the active-set method, most violated constraint first: bounds the time
 
 
 class Rank(IntEnum):

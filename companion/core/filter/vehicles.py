@@ -44,25 +44,27 @@ from companion.types.status import NearestVehicle
 from companion.types.values import Vector3
 
 # Where no norm or paper stands beside a value, the flights of tests/unit/core/filter try it.
-PLANNED_SHARE = 0.5  # of the acceleration at the tilt limit, planned for braking; the rest is for wind (docs/safety.md)
-ALONE_SHARE = 0.6  # of that, where the own vehicle alone makes way: others may stand behind it
+PLANNED_SHARE = (
+    0.5  # share of the acceleration at the tilt limit used for braking; the rest is for wind (docs/safety.md)
+)
+ALONE_SHARE = 0.6  # further share where only this vehicle gives way: others may be behind it
 # Transport delay that no receiver can measure without a common clock; docs/faults.md flies with as much.
 UNSEEN_DELAY_S = 0.1
 # The same and the delay of the own response, before a vehicle that flies towards this one. A pilot's vehicle reports no
 # acceleration: it may have reached 1.6 m/s in the 0.4 s before others make way.
 PURSUED_S = 0.4
-RIPPLE_M = 0.05  # of the distance of a vehicle that slides along one that makes no way
+RIPPLE_M = 0.05  # the distance varies by this while a vehicle slides along one that does not give way
 RESPONSE_1_S = 5.0  # k: how fast h may approach 0; 1/k is the attitude lag, faster no vehicle responds
-SLOPE_1_S = 4.0  # of the approach speed near the required distance; below k, so that h can follow
-FASTEST_LEAVING_M_S = 1.5  # demanded inside the required distance
+SLOPE_1_S = 4.0  # approach speed per metre near the required distance; below k, so that h can follow
+FASTEST_LEAVING_M_S = 1.5  # largest speed apart that is demanded inside the required distance
 # Where slots move: the attitude follows late, and between others a vehicle cannot always brake as planned.
 TRACKING_M = 0.1
-LARGEST_ERROR_RATIO = 1.0  # of separation_m: more than both positions' errors count for; slots are 3 to 6 errors apart
-SLOT_SHARE = 0.5  # of the room between separation_m and the distance of two slots: the most that margins may take
-PASSING_M = 0.15  # of the distance of two vehicles that pass each other on the way to their slots
+LARGEST_ERROR_RATIO = 1.0  # position errors add at most this times separation_m; slots are 3 to 6 errors apart
+SLOT_SHARE = 0.5  # margins may take this share of what two slots are farther apart than separation_m
+PASSING_M = 0.15  # extra distance between two vehicles that pass each other on the way to their slots
 PLACED_WITHIN_M = 0.5  # nearer than that to the offset of their slots, two vehicles do not pass each other
-GROWTH_M_S = 0.25  # of the required distance from a silent vehicle
-LARGEST_GROWTH_RATIO = 0.5  # of separation_m
+GROWTH_M_S = 0.25  # the required distance from a silent vehicle grows at this rate
+LARGEST_GROWTH_RATIO = 0.5  # and by at most this times separation_m
 LEAST_DISTANCE_M = 1e-6
 NEAREST_M = 0.1  # keeps the turn of the line between two vehicles finite
 TURNING_S2 = 0.5 * LAG_S * LAG_S
@@ -144,13 +146,13 @@ class Separation:
         required_m = self._required(error, slot, other, offset_enu_m, mz)
         late_m, braking_m_s2 = UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0, self._braking_together_m_s2
         margins_m = required_m - self.separation_m
-        if slot_of_other is None:  # its late packet hides how far a pursuer has come, also where it closes no more
+        if slot_of_other is None:  # a pursuer is nearer than its last packet shows, even if it no longer approaches
             braking_m_s2 = self._braking_alone_m_s2
             late_m = max(late_m, PURSUED_S * (nx * vx + ny * vy + nz * vz * weight)) + RIPPLE_M + TRACKING_M
         # p of a pair that turns about each other lags inside q; a closing vehicle is nearer than its late packet reports.
         required_m += TURNING_S2 * across_m_s2 + late_m
         margin_m = apart_m - required_m
-        size = sqrt(nx * nx + ny * ny + mz * mz)  # of the gradient: at most 1
+        size = sqrt(nx * nx + ny * ny + mz * mz)  # norm of the gradient, at most 1
         braking_m_s2 *= size
         allowed_m_s, slope_1_s = approach_speed(margin_m, braking_m_s2, SLOPE_1_S, FASTEST_LEAVING_M_S)
         least_m_s2 = RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2
@@ -298,7 +300,7 @@ def turn_right(
     for barrier in barriers:
         nx, ny, nz, least, _ = barrier.constraint
         along = nx * x + ny * y + nz * z
-        removed = (least if least < 0.0 else 0.0) - along  # of what is wanted towards the other vehicle
+        removed = (least if least < 0.0 else 0.0) - along  # wanted acceleration that the constraint takes away
         if removed <= 0.0:
             continue
         if barrier.other.slot is None:

@@ -30,8 +30,8 @@ from companion.types.values import Vector3
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # member lookup of an enum is slow
 QUEUED = 3  # commands with content that wait for their check; more of them are refused
-HEARD_PERIOD_S = 0.1  # between changes of leaders that are judged
-TRACK_SAMPLES = 40  # of a formation change
+HEARD_PERIOD_S = 0.1  # shortest time between two checks of leaders' changes
+TRACK_SAMPLES = 40  # a formation change is checked at this many points of each track
 
 
 class Changed(Struct, frozen=True, gc=False):
@@ -71,9 +71,9 @@ class Changes:
         self._slots = slots
         self._references = references
         self._gap_filling = gap_filling
-        self._refused_number: int | None = None  # of the last refused change of a leader, which is reported once
+        self._refused_number: int | None = None  # number of the leader's change that was refused last; reported once
         self.checks = PacedChecks(STEPS_PER_TICK)
-        self._queue: list[Command] = []  # to be judged, one in a tick
+        self._queue: list[Command] = []  # commands that wait for their check, one each tick
         self._heard: tuple[int, FormationChange] | None = None  # the leader and its change that is being checked
         self._last_heard_id = 0  # the leader whose change was judged last
         self._next_heard_s = -inf

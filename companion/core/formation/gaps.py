@@ -30,7 +30,7 @@ RETRY_AFTER_S = 10.0  # a proposal that did not begin is made again
 AHEAD_S = 1.5  # from the proposal to the first movement: time for every vehicle to receive it
 DISTANCE_TOLERANCE_M = 0.01
 SAMPLES = 100
-NUMBERS_AHEAD = 16  # of changes that this vehicle may have missed; a larger number of a peer is wrong
+NUMBERS_AHEAD = 16  # this many changes may have been missed; a peer with a larger number is wrong
 
 Slots = Mapping[int, Vector3]
 Position2 = tuple[float, float]

@@ -39,7 +39,7 @@ class FormationLimits:
     """
 
     separation_m: float
-    speed_m_s: float  # of a slot relative to the RFT
+    speed_m_s: float  # largest speed of a slot relative to the RFT
     fence: Box
     slots_turn: bool = False
     slots_have_height: bool = True

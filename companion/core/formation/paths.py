@@ -97,8 +97,8 @@ def law_within_m(gains: Gains, speed_m_s: float) -> float:
     return speed_m_s / (frequency_1_s * exp(-share))
 
 
-SPREAD = 1.0 / 3.0  # of the distance that the law settles: so much may offsets differ there, as paths of the law bend
-SLACK = 1.15  # of the duration: a vehicle that enters a little later still ends with the leader
+SPREAD = 1.0 / 3.0  # offsets may differ by this share of the distance that the law settles, as its paths bend
+SLACK = 1.15  # factor on the duration, so that a vehicle that enters later still ends with the leader
 BELIEVED = 2.0  # times what the farthest vehicle needs: a peer that publishes a longer duration is wrong
 PATH_MARGIN_M = 0.05  # a path counts where it is nearer than both its ends by this; slots too close are another check
 PATH_SAMPLES = 40

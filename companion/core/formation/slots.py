@@ -36,7 +36,7 @@ class SlotPlan:
         """`slots_enu_m` are those of the fleet file; `limits` apply to every change."""
         self._own_id = own_id
         self.limits = limits
-        self._before_enu_m = self.slots_enu_m = dict(slots_enu_m)  # of the formation flown, or moved to
+        self._before_enu_m = self.slots_enu_m = dict(slots_enu_m)  # both: slots of the formation flown or moved to
         self._reach_before_m = self._reach_m = reach_m(slots_enu_m.values())
         self._flown = FormationChange(0, tuple(sorted(slots_enu_m.items())), 0.0, 0.0)
         self._agreement: Agreement[FormationChange] = Agreement(

@@ -24,7 +24,7 @@ SHORTEST_S = 1.0
 LONGEST_S = 600.0
 LONGER = 1.1  # ratio of one tried duration to the one before
 SAMPLES_PER_STEP = 100
-SAMPLES = 60  # of a blend at least, and one per second
+SAMPLES = 60  # a blend is checked at this many points or more, at least one per second
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,8 +26,8 @@ from companion.types.values import ZERO3, Vector3
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # member lookup of an enum is slow
 SETTLED_S = 0.5  # before a change begins it stays: longer than any packet of a peer counts
-LOOK_AHEAD_S = 120  # for this time ahead a formation must keep its limits along the RFT
-STEPS_AT_ONCE = 12  # of the search for a hand-over that begins now
+LOOK_AHEAD_S = 120  # a formation must keep its limits along the RFT for this time ahead
+STEPS_AT_ONCE = 12  # steps at once, when the hand-over that is searched begins now
 LEADER_VALID_S = 2.0  # the last packet of a lost leader counts for this time: its successor needs the same RFT
 
 
@@ -72,12 +72,14 @@ class ReferencePlan:
         self._refusal_of_slots = refusal_of_slots
         self._limits = limits
         self._targets = Targets()
-        self._change: ReferenceChange | None = None  # that the RFT flown came by; None: configured
+        self._change: ReferenceChange | None = None  # the change that brought the RFT flown; None: the configured RFT
         self._agreement: Agreement[ReferenceChange] = Agreement("reference", Code.REFERENCE_CANCELLED)
         self._rft = self._waiting_rft = first
         self._flown = _from_start(first)
-        self._handed: tuple[Flown, Mapping[int, Vector3], HandedOver] | None = None  # of the change that waits
-        self.flown_count = 0  # of RFTs flown since the start
+        self._handed: tuple[Flown, Mapping[int, Vector3], HandedOver] | None = (
+            None  # waiting change: old RFT, slots, hand-over
+        )
+        self.flown_count = 0  # number of RFTs flown since the agent started
         self._begun_s = 0.0  # mission time at which the RFT flown began
         self._led_by: tuple[int, HeldReference] | None = None  # leader in formation, and its RFT
         self._led_s = 0.0

@@ -187,7 +187,7 @@ Box = tuple[Vector3, Vector3]
 
 AXES: tuple[Vector3, Vector3, Vector3] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 STEP_S = 0.05  # longest step of a pursuit
-SHARE = 0.8  # of the way to a wall that braking may need
+SHARE = 0.8  # braking may use this share of the distance to a wall
 PASSES = 3  # a velocity kept from one wall may lead to another one
 
 
@@ -248,7 +248,7 @@ SETTLE_S = 0.4  # time constant of the velocity
 PULL_1_S = 1.0 / (4.0 * SETTLE_S)  # approach speed per distance: critically damped
 JERK_1_S = 4.0  # change of acceleration per second, relative to the largest acceleration
 APPROACH = 0.5  # share of the largest acceleration that is used for braking at the goal
-LONGEST_S = 0.5  # of a pause; after a longer one the motion continues from where it was
+LONGEST_S = 0.5  # after a longer pause the motion continues from where it was
 
 
 def approach_speed(distance: float, braking: float) -> float:

@@ -39,7 +39,7 @@ class Facts:
     is -1 where the autopilot does not know it. `failing_checks` is the reason of failing preflight checks, "" where they pass.
     """
 
-    rules: tuple[ParameterRule, ...]  # of its autopilot type
+    rules: tuple[ParameterRule, ...]  # what the autopilot type demands of the parameters
     parameters: Mapping[str, float | None]
     hover_thrust_norm: float  # configured in the vehicle file
     rates_hz: Mapping[str, float] | None = None
@@ -49,7 +49,7 @@ class Facts:
     battery_percent: float | None = None
     mode_name: str | None = None
     armed: bool | None = None
-    accepts_uncontrolled_descent: bool = False  # by the vehicle file
+    accepts_uncontrolled_descent: bool = False  # set in the vehicle file
 
 
 @dataclass(frozen=True, slots=True)

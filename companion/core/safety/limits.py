@@ -10,7 +10,7 @@ from companion.geometry.frames import wrap_pi
 from companion.geometry.vectors import between, clamped
 from companion.types.autopilot import AttitudeTarget
 
-LONGEST_SLEW_S = 0.1  # of a gap in the stream; five ticks
+LONGEST_SLEW_S = 0.1  # a longer gap between setpoints allows no larger change: five ticks
 
 
 @dataclass(frozen=True, slots=True)

@@ -203,7 +203,7 @@ class FailureResponse:
         """What a tick has sent; `target` is None where there was no setpoint."""
         self._flight = flight
         if not flight.streams:
-            self._level = None  # its heading is of an earlier stream
+            self._level = None  # a new stream must not take the heading of the last one
         elif target and 0.0 < hover_thrust_norm < 1.0 and isfinite(target.yaw_rad):
             self._level = AttitudeTarget(0.0, 0.0, target.yaw_rad, hover_thrust_norm)
 
