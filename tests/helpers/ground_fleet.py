@@ -28,6 +28,7 @@ from companion.types.status import NearestVehicle, SeparationReport, Status
 from companion.types.tick import Outbox
 from companion.wire.messages import Percentiles, StatusReport, Timing
 from companion.wire.rounding import round_outbox
+from processes import free_port
 from sitl.flight.director import Director
 from sitl.flight.orders import FlightFailure
 from sitl.flight.scenario import TimelineStep
@@ -350,7 +351,7 @@ def linked_vehicles(count: int = 3) -> Iterator[LinkedVehicles]:
     with ExitStack() as stack:
         links, endpoints = {}, []
         for vehicle_id in load.vehicle_ids:
-            endpoint = f"tcp/127.0.0.1:{_free_port()}"
+            endpoint = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
             used = ZenohEndpoints(listen=(endpoint,), connect=())
             links[vehicle_id] = stack.enter_context(closing(ZenohLink(vehicle_id, load.fleet, used, lambda _key: None)))
             endpoints.append(endpoint)
@@ -362,9 +363,3 @@ def linked_vehicles(count: int = 3) -> Iterator[LinkedVehicles]:
         finally:
             stopped.set()
             thread.join()
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
