@@ -45,7 +45,7 @@ PLATOON = {
     },
     "starts_enu_m": {1: [0.0, 0.0, 0.0], 2: [-2.0, 0.0, 0.0]},
     "reference": {"kind": "point", "point_enu_m": [0.5, 0.0, 1.0]},
-    "stand_in": {"sensors": "default"},
+    "stand_in": {"sensors": "default", "armable_after_s": 1},
     "timeline": [
         {"command": "prepare"},
         {"command": "arm"},
@@ -130,7 +130,7 @@ def test_a_flight_replays_bit_for_bit_in_another_process(flight: Path) -> None:
     result = json.loads(done.stdout)
     assert result["equal"] is True
     assert [vehicle["vehicle_id"] for vehicle in result["vehicles"]] == [1, 2]
-    assert all(vehicle["ticks"] > 1000 and vehicle["not_recorded"] == 0 for vehicle in result["vehicles"])
+    assert all(vehicle["ticks"] > 800 and vehicle["not_recorded"] == 0 for vehicle in result["vehicles"])
     assert not done.stderr
 
 
@@ -251,14 +251,14 @@ def test_an_agent_that_fails_is_a_difference(
 def test_a_tick_that_is_not_recorded_ends_the_replay(
     flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = rewritten(flight, tmp_path, lambda tick, i, o: None if 300 <= tick < 310 else (i, o))
+    folder = rewritten(flight, tmp_path, lambda tick, i, o: None if 200 <= tick < 210 else (i, o))
     code, out, _ = replayed(folder, capsys)
     assert code == 2
-    assert out == "vehicle 2: 299 ticks, all equal; it ends there: ticks 300 to 309 are not recorded\n"
+    assert out == "vehicle 2: 199 ticks, all equal; it ends there: ticks 200 to 209 are not recorded\n"
 
 
 def test_a_missing_output_is_counted(flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = rewritten(flight, tmp_path, lambda tick, i, o: (i, None if tick == 300 else o))
+    folder = rewritten(flight, tmp_path, lambda tick, i, o: (i, None if tick == 200 else o))
     code, out, _ = replayed(folder, capsys)
     assert code == 0
     assert "all equal, 1 of them without a recorded output" in out
