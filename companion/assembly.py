@@ -42,7 +42,7 @@ from companion.core.reference.blend import BlendLimits, ReferenceTrajectory, alo
 from companion.core.reference.heading import CourseHeading
 from companion.core.reference.plan import LiveReference, ReferencePlan, Rft
 from companion.core.reference.target import Box, TargetLimits
-from companion.core.report import AgentIdentity, ReportStage
+from companion.core.report import ReportStage
 from companion.core.safety.failsafe import FailsafeSettings, HealthLimits, limit_of
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.core.safety.limits import OutputLimits
@@ -52,6 +52,7 @@ from companion.mavlink.autopilot_types import PROFILES
 from companion.types.commands import Described
 from companion.types.flight import FailsafeAction, Role
 from companion.types.notices import Code
+from companion.types.status import AgentIdentity
 from companion.types.steps import Steps
 from companion.types.values import GRAVITY_M_S2, Vector3
 

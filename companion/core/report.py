@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from math import inf
 
 from msgspec import Struct
@@ -26,21 +25,22 @@ from companion.types.flight import RULES, Flight, FlightPhase, Role
 from companion.types.notices import Notice
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.rejections import count_rejection, sum_counts
-from companion.types.status import NO_STATE_AGE_S, Status
+from companion.types.status import (
+    NO_STATE_AGE_S,
+    AgentIdentity,
+    AutopilotReport,
+    CommandReport,
+    ControlReport,
+    FormationReport,
+    LeadershipReport,
+    MotionReport,
+    NeighbourReport,
+    SafetyReport,
+    Status,
+)
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # member lookup of an enum is slow
 STATUS_PERIOD_S = 0.099  # every fifth tick of 50 Hz, also where a tick comes a little early
-
-
-@dataclass(frozen=True, slots=True)
-class AgentIdentity:
-    """The vehicle and its configuration. `session` differs from one start of this vehicle's agent to the next."""
-
-    vehicle_id: int
-    session: int
-    fleet: str
-    formation_hash: int
-    law_name: str
 
 
 class Decision(Struct, frozen=True, gc=False):
@@ -132,53 +132,62 @@ class ReportStage:
     def _status(self, decided: Decision) -> Status:
         now_s, intake, perception, fitness = decided.now_s, decided.intake, decided.perception, decided.fitness
         consensus, guidance, flight, setpoint = decided.consensus, decided.guidance, decided.flight, decided.setpoint
-        identity, vehicle, reference = self._identity, perception.vehicle, guidance.reference
-        peers = consensus.peers.packets
+        vehicle, lead, reference = perception.vehicle, consensus.lead, guidance.reference
+        peers, neighbours = consensus.peers.packets, consensus.neighbours
         rejected = sum_counts(
             (self.refused, setpoint.rejected, perception.rejected, consensus.peers.rejected, guidance.rejected)
         )
         return Status(
-            vehicle_id=identity.vehicle_id,
-            session=identity.session,
-            fleet=identity.fleet,
-            formation_hash=identity.formation_hash,
-            law=identity.law_name,
+            agent=self._identity,
             phase=flight.phase,
-            mode_name=vehicle.mode_name,
-            armed=vehicle.armed,
-            landed=vehicle.landed,
-            position_enu_m=vehicle.position_enu_m,
-            velocity_enu_m_s=vehicle.velocity_enu_m_s,
-            state_age_s=min(NO_STATE_AGE_S, now_s - vehicle.position_time_s),
-            hover_thrust_norm=setpoint.hover_thrust_norm,
-            disturbance_enu_m_s2=setpoint.disturbance_enu_m_s2,
-            role=consensus.lead.role,
-            epoch=consensus.lead.term[0],
-            prc=consensus.prc,
-            leader_beacon=consensus.lead.beacon,
-            leader_beacon_age_s=consensus.lead.beacon_age_s if consensus.lead.beacon else None,
-            neighbours=consensus.neighbours.ids,
-            slot=guidance.plan_slot,
-            reference_enu_m=reference.position_enu_m if reference else None,
-            flags=tuple(sorted(decided.safety.flags)),
+            autopilot=AutopilotReport(
+                mode_name=vehicle.mode_name,
+                armed=vehicle.armed,
+                landed=vehicle.landed,
+                battery_percent=fitness.battery_percent,
+            ),
+            motion=MotionReport(
+                position_enu_m=vehicle.position_enu_m,
+                velocity_enu_m_s=vehicle.velocity_enu_m_s,
+                state_age_s=min(NO_STATE_AGE_S, now_s - vehicle.position_time_s),
+                position_error=vehicle.position_error,
+            ),
+            control=ControlReport(
+                hover_thrust_norm=setpoint.hover_thrust_norm,
+                disturbance_enu_m_s2=setpoint.disturbance_enu_m_s2,
+                largest_step_deg=setpoint.largest_step_deg,
+            ),
+            leadership=LeadershipReport(
+                role=lead.role,
+                epoch=lead.term[0],
+                prc=consensus.prc,
+                leader_beacon=lead.beacon,
+                leader_beacon_age_s=lead.beacon_age_s if lead.beacon else None,
+            ),
+            neighbourhood=NeighbourReport(
+                neighbours=neighbours.ids,
+                peers=tuple(sorted(peer.sender.vehicle_id for peer in peers)),
+                weights=used_weights(self._law, lead.role is LEADER, neighbours.prcs),
+                neighbour_ages_s=tuple([now_s - consensus.peers.fresh[i].measured_s for i in neighbours.ids]),
+            ),
+            formation=FormationReport(
+                slot=guidance.plan_slot,
+                reference_enu_m=reference.position_enu_m if reference else None,
+                reference_s=lead.reference_s,
+                reference=guidance.held_reference,
+                target_age_s=guidance.target_age_s,
+                heading=guidance.heading,
+            ),
+            safety=SafetyReport(
+                flags=tuple(sorted(decided.safety.flags)),
+                refuses_return=self._refusal_of_return(vehicle, flight, consensus),
+                lacks=() if vehicle.armed else fitness.lacks + self._checks.lacks(vehicle, peers),
+                separation=setpoint.separation,
+                warnings=() if vehicle.armed else fitness.warnings,
+            ),
             rejected=rejected,
             last_event=self._last_event,
-            reference_s=consensus.lead.reference_s,
-            reference=guidance.held_reference,
-            target_age_s=guidance.target_age_s,
-            refuses_return=self._refusal_of_return(vehicle, flight, consensus),
-            warnings=() if vehicle.armed else fitness.warnings,
-            lacks=() if vehicle.armed else fitness.lacks + self._checks.lacks(vehicle, peers),
-            holder=intake.holder,
-            command_number=intake.number,
-            peers=tuple(sorted(peer.sender.vehicle_id for peer in peers)),
-            battery_percent=fitness.battery_percent,
-            position_error=vehicle.position_error,
-            heading=guidance.heading,
-            largest_step_deg=setpoint.largest_step_deg,
-            separation=setpoint.separation,
-            weights=used_weights(self._law, consensus.lead.role is LEADER, consensus.neighbours.prcs),
-            neighbour_ages_s=tuple([now_s - consensus.peers.fresh[i].measured_s for i in consensus.neighbours.ids]),
+            command=CommandReport(holder=intake.holder, command_number=intake.number),
         )
 
     def _refusal_of_return(self, vehicle: VehicleState, flight: Flight, consensus: Consensus) -> Notice | None:

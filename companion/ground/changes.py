@@ -81,7 +81,7 @@ class FleetAction:
 
 def reference_change(reference: Described, statuses: Sequence[Status]) -> ReferenceChange:
     """`reference` as in a file, with the next number, AHEAD_S after the fleet time of these reports."""
-    held = [status.reference for status in statuses if status.reference]
+    held = [status.formation.reference for status in statuses if status.formation.reference]
     number = next_for_all(number for one in held for number in (one.flown, one.waiting))
     return ReferenceChange(number, reference, fleet_time_s(statuses) + AHEAD_S)
 
@@ -89,7 +89,7 @@ def reference_change(reference: Described, statuses: Sequence[Status]) -> Refere
 def resolve_reference_now(request: ReferenceRequest, statuses: Collection[Status]) -> Reference:
     """The reference of a request to a fleet with these reports. Raises ConfigError."""
     check_reports("reference", statuses)
-    flown = [status.reference_enu_m for status in statuses if status.reference_enu_m]
+    flown = [status.formation.reference_enu_m for status in statuses if status.formation.reference_enu_m]
     return resolve_reference(request, here_enu_m=flown[0] if flown else None)
 
 
@@ -157,7 +157,7 @@ def resolve_slots(request: FormationRequest, statuses: Sequence[Status], fleet: 
     if request.shape and request.spacing_m is not None:
         slots = named_slots(request.shape, len(statuses), request.spacing_m * request.scale, request.heading_deg)
         return assign_slots(positions_enu_m(statuses), slots)
-    flown_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
+    flown_enu_m = {status.agent.vehicle_id: status.formation.slot.position_enu_m for status in statuses}
     slots_enu_m = load_slots(request.slots_file, fleet) if request.slots_file else request.slots_enu_m or flown_enu_m
     return {i: rotated(slot, radians(request.heading_deg), request.scale) for i, slot in slots_enu_m.items()}
 
@@ -168,8 +168,11 @@ def positions_enu_m(statuses: Sequence[Status]) -> dict[int, Vector3]:
     Own positions are not relative to the RFT; that changes neither the assignment of slots nor the distances of vehicles.
     """
     if any(status.phase is FlightPhase.FORMATION for status in statuses):
-        return {status.vehicle_id: status.slot.position_enu_m for status in statuses}
-    return {status.vehicle_id: rotated(status.position_enu_m, -status.heading.angle_rad, 1.0) for status in statuses}
+        return {status.agent.vehicle_id: status.formation.slot.position_enu_m for status in statuses}
+    return {
+        status.agent.vehicle_id: rotated(status.motion.position_enu_m, -status.formation.heading.angle_rad, 1.0)
+        for status in statuses
+    }
 
 
 def assign_slots(flown_enu_m: Mapping[int, Vector3], slots_enu_m: Sequence[Vector3]) -> dict[int, Vector3]:
@@ -201,10 +204,12 @@ def refusal_of(slots_enu_m: Mapping[int, Vector3], separation_m: float, has_heig
 
 def change_to(slots_enu_m: Mapping[int, Vector3], statuses: Sequence[Status], slot_speed_m_s: float) -> FormationChange:
     """The change for all vehicles with a status, with the next number, AHEAD_S after their fleet time."""
-    flown = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
+    flown = {status.agent.vehicle_id: status.formation.slot.position_enu_m for status in statuses}
     lasts_s = duration_s(longest_path_m(flown, slots_enu_m), slot_speed_m_s, SLOT_ACCELERATION_M_S2)
     return FormationChange(
-        number=next_for_all(number for s in statuses for number in (s.slot.formation, s.slot.waiting)),
+        number=next_for_all(
+            number for s in statuses for number in (s.formation.slot.formation, s.formation.slot.waiting)
+        ),
         slots_enu_m=tuple(sorted(slots_enu_m.items())),
         begins_s=fleet_time_s(statuses) + AHEAD_S,
         lasts_s=max(lasts_s, MIN_CHANGE_S),
@@ -216,17 +221,19 @@ AHEAD_S = 1.0  # seconds from a command to its beginning: every vehicle has rece
 
 def fleet_time_s(statuses: Iterable[Status]) -> float:
     """Time along the RFT by these reports, seconds; it does not advance while no leader is in formation."""
-    return max(status.reference_s for status in statuses)
+    return max(status.formation.reference_s for status in statuses)
 
 
 def check_reports(action: str, statuses: Iterable[Status]) -> None:
     """Refuses positions that no vehicle can have: their squares overflow. Raises ConfigError."""
     for status in statuses:
-        positions = {"position_enu_m": status.position_enu_m, "slot": status.slot.position_enu_m}
-        for name, position_enu_m in (positions | {"reference_enu_m": status.reference_enu_m or (0.0,)}).items():
+        positions = {"position_enu_m": status.motion.position_enu_m, "slot": status.formation.slot.position_enu_m}
+        for name, position_enu_m in (
+            positions | {"reference_enu_m": status.formation.reference_enu_m or (0.0,)}
+        ).items():
             if (largest_m := max(map(abs, position_enu_m))) > MAX_COORDINATE_M:
                 raise ConfigError(
                     command_line(action),
-                    f"{name} of vehicle {status.vehicle_id}",
+                    f"{name} of vehicle {status.agent.vehicle_id}",
                     f"is {largest_m:g} m from the origin by its report; expected at most {MAX_COORDINATE_M:g} m",
                 )

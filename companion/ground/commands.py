@@ -161,7 +161,9 @@ class OperatorCommands:
     def _arm(self, ids: Sequence[int]) -> Sent:
         """Vehicles in phase observe are prepared first; one that refuses that is not armed."""
         reports = self._statuses(ids)
-        observing = [i for i, status in reports.items() if status.phase is FlightPhase.OBSERVE and not status.armed]
+        observing = [
+            i for i, status in reports.items() if status.phase is FlightPhase.OBSERVE and not status.autopilot.armed
+        ]
         outcomes = self._give(observing, CommandName.PREPARE)
         prepared = [i for i, outcome in outcomes.items() if outcome.kind is AnswerKind.ACCEPTED]
         self._wait_while(prepared, {FlightPhase.OBSERVE, FlightPhase.PREPARE}, PREPARED_WITHIN_S)
@@ -177,7 +179,7 @@ class OperatorCommands:
         return Sent(name, None, refused or self._give(ids, name))
 
     def _lead(self, leaders: tuple[int, ...]) -> Sent:
-        lead = Lead(leaders, next_epoch(status.epoch for status in self._statuses(self._all).values()))
+        lead = Lead(leaders, next_epoch(status.leadership.epoch for status in self._statuses(self._all).values()))
         return Sent(CommandName.LEAD, lead, self._give(self._all, CommandName.LEAD, lead))
 
     def _formation(self, request: FormationRequest) -> Sent:
@@ -202,7 +204,7 @@ class OperatorCommands:
             raise OperateError(f"no report of any vehicle for {self._wait_s:g} s")
         statuses = list(reports.values())
         reference = resolve_reference_now(request, statuses)
-        slots_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
+        slots_enu_m = {status.agent.vehicle_id: status.formation.slot.position_enu_m for status in statuses}
         check_reference(request.file or command_line("reference"), self._fleet, reference, slots_enu_m=slots_enu_m)
         change = reference_change(msgspec.to_builtins(reference), statuses)
         may_lead = [member.id for member in self._fleet.vehicles if member.can_lead]
@@ -257,7 +259,9 @@ def wait_for(
     while pending:
         reports = newest()
         statuses = {
-            i: reports[i] for i, number in pending.items() if i in reports and reports[i].command_number >= number
+            i: reports[i]
+            for i, number in pending.items()
+            if i in reports and reports[i].command.command_number >= number
         }
         after_s = clock.now_s() - began_s
         ends |= {i: end for i, status in statuses.items() if (end := end_of(goal, status, after_s))}

@@ -65,11 +65,11 @@ class ReportedVehicle:
 
     @property
     def vehicle_id(self) -> int:
-        return self.report.status.vehicle_id
+        return self.report.status.agent.vehicle_id
 
     @property
     def fleet(self) -> str:
-        return self.report.status.fleet
+        return self.report.status.agent.fleet
 
     @property
     def rejected(self) -> int:
@@ -84,7 +84,7 @@ class ReportedVehicle:
 
 def fold(state: FleetState, report: StatusReport, now_s: float) -> FleetState:
     """The state with one more report, received at `now_s` (any monotonic clock, the same as for `vehicles_at`)."""
-    key = (report.status.fleet, report.status.vehicle_id)
+    key = (report.status.agent.fleet, report.status.agent.vehicle_id)
     vehicles = dict(state.vehicles)
     if key not in vehicles and len(vehicles) >= MOST_VEHICLES:
         oldest = min(vehicles, key=lambda i: vehicles[i].received_s)
@@ -97,7 +97,9 @@ def fold(state: FleetState, report: StatusReport, now_s: float) -> FleetState:
 def vehicles_at(state: FleetState, now_s: float) -> list[ReportedVehicle]:
     """All vehicles that ever reported, by fleet and id."""
     ordered = [state.vehicles[key] for key in sorted(state.vehicles)]
-    fleets = [list(of_fleet) for _, of_fleet in groupby(ordered, key=lambda received: received.report.status.fleet)]
+    fleets = [
+        list(of_fleet) for _, of_fleet in groupby(ordered, key=lambda received: received.report.status.agent.fleet)
+    ]
     return [_vehicle(facts, received, now_s) for one in fleets for facts in [_facts(one, now_s)] for received in one]
 
 
@@ -116,20 +118,29 @@ def _facts(fleet: Sequence[Received], now_s: float) -> _FleetFacts:
     reporting = [received.report.status for received in fleet if not _is_silent(received, now_s)]
     return _FleetFacts(
         any(status.phase in PAST_TAKEOFF for status in reporting),
-        {s.vehicle_id: s.reference_enu_m for s in reporting if s.reference_enu_m is not None},
+        {s.agent.vehicle_id: s.formation.reference_enu_m for s in reporting if s.formation.reference_enu_m is not None},
     )
 
 
 def _vehicle(facts: _FleetFacts, received: Received, now_s: float) -> ReportedVehicle:
     status = received.report.status
     age_s, silent = now_s - received.received_s, _is_silent(received, now_s)
-    data_age_s = age_s + status.state_age_s
+    data_age_s = age_s + status.motion.state_age_s
     reference_enu_m = _reference_enu_m(facts, status)
     slot_position_enu_m = None if reference_enu_m is None else _slot_position_enu_m(status, reference_enu_m)
     error_to_slot_m = None
-    if slot_position_enu_m is not None and status.landed in _FLYING and data_age_s <= SILENT_AFTER_S and not silent:
-        error_to_slot_m = dist(status.position_enu_m, slot_position_enu_m)
-    flags = status.flags if facts.under_way else tuple(flag for flag in status.flags if flag not in WITHOUT_LEADER)
+    if (
+        slot_position_enu_m is not None
+        and status.autopilot.landed in _FLYING
+        and data_age_s <= SILENT_AFTER_S
+        and not silent
+    ):
+        error_to_slot_m = dist(status.motion.position_enu_m, slot_position_enu_m)
+    flags = (
+        status.safety.flags
+        if facts.under_way
+        else tuple(flag for flag in status.safety.flags if flag not in WITHOUT_LEADER)
+    )
     return ReportedVehicle(
         received.report, age_s, data_age_s, silent, flags, reference_enu_m, slot_position_enu_m, error_to_slot_m
     )
@@ -140,24 +151,27 @@ def _is_silent(received: Received, now_s: float) -> bool:
 
 
 def _slot_position_enu_m(status: Status, reference_enu_m: Vector3) -> Vector3:
-    (x, y, z), (dx, dy, dz) = reference_enu_m, turned_slot(status.slot, status.heading).position_enu_m
+    (x, y, z), (dx, dy, dz) = (
+        reference_enu_m,
+        turned_slot(status.formation.slot, status.formation.heading).position_enu_m,
+    )
     return (x + dx, y + dy, z + dz)
 
 
 def _reference_enu_m(facts: _FleetFacts, status: Status) -> Vector3 | None:
     """The vehicle's own reference, else that of the leader of its leader beacon, else of any leader that reports."""
-    if status.reference_enu_m is not None:
-        return status.reference_enu_m
+    if status.formation.reference_enu_m is not None:
+        return status.formation.reference_enu_m
     known = facts.references_enu_m
-    if status.leader_beacon and status.leader_beacon.leader_id in known:
-        return known[status.leader_beacon.leader_id]
+    if status.leadership.leader_beacon and status.leadership.leader_beacon.leader_id in known:
+        return known[status.leadership.leader_beacon.leader_id]
     return next(iter(known.values()), None)
 
 
 def formation_text(status: Status) -> str:
     """ "1", "1, then 2" or "changing to 2"; with the heading where that is not east."""
-    pointed = "" if status.heading == EAST else f" at {degrees(status.heading.angle_rad):.0f} deg"
-    return _formation(status.slot) + pointed
+    pointed = "" if status.formation.heading == EAST else f" at {degrees(status.formation.heading.angle_rad):.0f} deg"
+    return _formation(status.formation.slot) + pointed
 
 
 def _formation(slot: FlownSlot) -> str:
@@ -168,8 +182,12 @@ def _formation(slot: FlownSlot) -> str:
 
 def reference_text(status: Status) -> str:
     """ "1" or "1, then 2", with the age of the target followed; "-" where the vehicle holds none."""
-    held = status.reference
+    held = status.formation.reference
     if held is None:
         return "-"
     reference = str(held.flown) if held.waiting == held.flown else f"{held.flown}, then {held.waiting}"
-    return reference if status.target_age_s is None else f"{reference}, target {status.target_age_s:.1f} s old"
+    return (
+        reference
+        if status.formation.target_age_s is None
+        else f"{reference}, target {status.formation.target_age_s:.1f} s old"
+    )

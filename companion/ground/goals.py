@@ -32,7 +32,7 @@ class Goal:
 
 
 def _on_ground(status: Status) -> bool:
-    return not status.armed and status.landed is not LandedState.IN_AIR
+    return not status.autopilot.armed and status.autopilot.landed is not LandedState.IN_AIR
 
 
 def _in(phase: FlightPhase) -> Callable[[Status], bool]:
@@ -40,7 +40,7 @@ def _in(phase: FlightPhase) -> Callable[[Status], bool]:
 
 
 def _in_formation(status: Status) -> bool:
-    return status.phase is P.FORMATION and not status.slot.moves
+    return status.phase is P.FORMATION and not status.formation.slot.moves
 
 
 def _aborted(status: Status) -> bool:
@@ -56,7 +56,7 @@ GOALS = {
     C.HOLD: Goal("in hold", SHORT_S, _in(P.HOLD), frozenset({P.RELEASE})),
     C.LAND: Goal("on the ground and disarmed", LONG_S, _on_ground, frozenset({P.LAND})),
     C.RETURN: Goal("home, on the ground and disarmed", LONG_S, _on_ground, frozenset({P.RETURN, P.RELEASE})),
-    C.DISARM: Goal("disarmed", SHORT_S, lambda status: not status.armed, frozenset({P.LAND})),
+    C.DISARM: Goal("disarmed", SHORT_S, lambda status: not status.autopilot.armed, frozenset({P.LAND})),
     C.ABORT: Goal("in hold, or on the ground and disarmed", LONG_S, _aborted),
 }
 
@@ -74,27 +74,29 @@ def goal_of(name: CommandName, content: Content | None, running: bool) -> Goal |
 
 
 def _follows(status: Status, lead: Lead) -> bool:
-    leads = status.vehicle_id in lead.leaders
-    return is_newer(status.epoch, lead.epoch) or (status.epoch == lead.epoch and (status.role is Role.LEADER) is leads)
+    leads = status.agent.vehicle_id in lead.leaders
+    return is_newer(status.leadership.epoch, lead.epoch) or (
+        status.leadership.epoch == lead.epoch and (status.leadership.role is Role.LEADER) is leads
+    )
 
 
 def _flies(status: Status, change: FormationChange) -> bool:
     """At rest in its slot, or as good as in that of the change."""
-    flown = status.slot.formation
+    flown = status.formation.slot.formation
     if flown != change.number and not is_newer(flown, change.number):
         return False
-    return not status.slot.moves or way_left_m(status, change) < SLOT_REACHED_M
+    return not status.formation.slot.moves or way_left_m(status, change) < SLOT_REACHED_M
 
 
 def way_left_m(status: Status, change: FormationChange) -> float:
     """From the slot that the vehicle flies to its slot in the new formation; inf where it has none there."""
-    slot_enu_m = dict(change.slots_enu_m).get(status.vehicle_id)
-    return inf if slot_enu_m is None else dist(status.slot.position_enu_m, slot_enu_m)
+    slot_enu_m = dict(change.slots_enu_m).get(status.agent.vehicle_id)
+    return inf if slot_enu_m is None else dist(status.formation.slot.position_enu_m, slot_enu_m)
 
 
 def _holds(status: Status, change: ReferenceChange, running: bool) -> bool:
     """On the ground and in hold a vehicle begins with the new reference when it forms."""
-    held = status.reference
+    held = status.formation.reference
     if held is None:
         return False
     number = held.flown if running else held.waiting
@@ -168,17 +170,21 @@ def check_all(
 
 def _obstacle(name: CommandName, status: Status, operator: str) -> Notice | None:
     """Why the vehicle would refuse, as far as its report shows."""
-    if status.holder not in ("", operator):
+    if status.command.holder not in ("", operator):
         return Notice(
-            Code.OTHER_HOLDS_COMMAND, f"{status.holder} holds command; take it over with: companion fleet take"
+            Code.OTHER_HOLDS_COMMAND, f"{status.command.holder} holds command; take it over with: companion fleet take"
         )
     if status.phase not in PHASES[name]:
         return Notice(Code.WRONG_PHASE, f"{name} is not possible in phase {status.phase}; {NEXT_STEP[name]}")
-    flags = set(status.flags) - OF_THE_FLEET if name is CommandName.TAKEOFF else set(status.flags) & POSITION_FLAGS
+    flags = (
+        set(status.safety.flags) - OF_THE_FLEET
+        if name is CommandName.TAKEOFF
+        else set(status.safety.flags) & POSITION_FLAGS
+    )
     if flags:
         flag = min(flags)
         return Notice(Code(flag), FLAG_TEXTS[flag])
-    return status.refuses_return if name is CommandName.RETURN else None
+    return status.safety.refuses_return if name is CommandName.RETURN else None
 
 
 def advise_divided_fleet(name: CommandName, outcomes: Mapping[int, Outcome]) -> Notice | None:

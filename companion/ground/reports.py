@@ -14,6 +14,7 @@ from companion.ground.fleet_state import formation_text, reference_text
 from companion.types.flight import BATTERY_FLAGS, FLAG_TEXTS, HealthFlag, Role
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
+from companion.wire.messages import STATUS_FORM
 
 INDENT = " " * 12
 
@@ -60,21 +61,21 @@ UNSECURED = "UNSECURED: strangers in its network can command it (security: none 
 
 
 def _status_lines(status: Status) -> list[str]:
-    x, y, z = status.position_enu_m
-    battery = "unknown" if status.battery_percent is None else f"{status.battery_percent:.0f} %"
+    autopilot, (x, y, z) = status.autopilot, status.motion.position_enu_m
+    battery = "unknown" if autopilot.battery_percent is None else f"{status.autopilot.battery_percent:.0f} %"
     state = (
-        f"{status.phase:<9} {status.role:<8} {'armed' if status.armed else 'disarmed':<8} {status.mode_name:<12}"
-        f" at {x:z.1f}, {y:z.1f}, {z:z.1f} m"
+        f"{status.phase:<9} {status.leadership.role:<8} {'armed' if autopilot.armed else 'disarmed':<8}"
+        f" {autopilot.mode_name:<12} at {x:z.1f}, {y:z.1f}, {z:z.1f} m"
     )
     flown = (
         f"formation {formation_text(status)},"
         f" reference {reference_text(status)},"
-        f" operator {status.holder or '-'}, battery {battery}"
+        f" operator {status.command.holder or '-'}, battery {battery}"
     )
     event = [UNSECURED] if status.network.security == "none" else []
     event += [str(status.last_event)] if status.last_event else []
     return [
-        *wrap_text(f"vehicle {status.vehicle_id:<3} ", state),
+        *wrap_text(f"vehicle {status.agent.vehicle_id:<3} ", state),
         *wrap_text(INDENT, flown),
         *(line for text in event for line in wrap_text(INDENT, text)),
     ]
@@ -82,7 +83,7 @@ def _status_lines(status: Status) -> list[str]:
 
 def status_as_data(statuses: Mapping[int, Status], silent: Sequence[int]) -> list[dict[str, Any]]:
     """The whole report of each vehicle, with `reported`."""
-    data = {i: msgspec.to_builtins(status) | {"reported": True} for i, status in statuses.items()}
+    data = {i: msgspec.to_builtins(STATUS_FORM.flat(status)) | {"reported": True} for i, status in statuses.items()}
     return [data.get(i, {"vehicle_id": i, "reported": False}) for i in sorted({*statuses, *silent})]
 
 
@@ -132,41 +133,43 @@ def readiness_of(statuses: Mapping[int, Status], fleet: FleetConfig) -> dict[int
 
 def checks_of(status: Status, fleet_ids: Collection[int], formation_hash: int) -> tuple[Check, ...]:
     """All checks of one vehicle, in a fixed order. Ids and hash are those of the fleet file on the ground."""
-    flags, lacks = set(status.flags) - LATER, status.lacks
-    missing = sorted(set(fleet_ids) - {status.vehicle_id} - set(status.peers))
+    flags, lacks = set(status.safety.flags) - LATER, status.safety.lacks
+    missing = sorted(set(fleet_ids) - {status.agent.vehicle_id} - set(status.neighbourhood.peers))
     no_peers = [Notice(Code.PEER_STALE, f"no fresh report of {_ids(missing)}")] if missing else []
-    same_file = status.formation_hash == formation_hash
+    same_file = status.agent.formation_hash == formation_hash
     other_file = [Notice(Code.FLEET_FILE_DIFFERS, "differs from the fleet file here (formation hash)")]
     others = [notice for notice in lacks if notice.code not in BATTERY | SEPARATION]
     return (
-        _check("autopilot", _notices(flags - OTHER_CHECKS), f"position {status.state_age_s * 1000.0:.0f} ms old"),
+        _check(
+            "autopilot", _notices(flags - OTHER_CHECKS), f"position {status.motion.state_age_s * 1000.0:.0f} ms old"
+        ),
         _check("estimator", _notices(flags & ESTIMATOR), _error(status)),
         _check(
             "battery",
             _notices(flags & BATTERY_FLAGS) + [notice for notice in lacks if notice.code in BATTERY],
-            _battery(status.battery_percent),
-            [notice for notice in status.warnings if notice.code in BATTERY_WARNINGS],
+            _battery(status.autopilot.battery_percent),
+            [notice for notice in status.safety.warnings if notice.code in BATTERY_WARNINGS],
         ),
         _check("origin", _notices(flags & ORIGIN), "in the fleet frame, inside the fence"),
-        _check("peers", no_peers, f"fresh: {_ids(status.peers)}"),
+        _check("peers", no_peers, f"fresh: {_ids(status.neighbourhood.peers)}"),
         _check("fleet file", [] if same_file else other_file, "the same"),
         _check(
             "separation",
             [notice for notice in lacks if notice.code in SEPARATION],
-            NOT_CHECKED if status.armed else "kept",
+            NOT_CHECKED if status.autopilot.armed else "kept",
         ),
         _check(
             "parameters",
             others,
-            NOT_CHECKED if status.armed else "as the audit requires; arming checks pass",
-            [notice for notice in status.warnings if notice.code not in BATTERY_WARNINGS],
+            NOT_CHECKED if status.autopilot.armed else "as the audit requires; arming checks pass",
+            [notice for notice in status.safety.warnings if notice.code not in BATTERY_WARNINGS],
         ),
     )
 
 
 def leader_check(statuses: Mapping[int, Status], fleet_ids: Collection[int]) -> Check:
     """Whether a vehicle leads. An agent that starts again is no leader where a command had made it one."""
-    leaders = sorted(i for i, status in statuses.items() if status.role is Role.LEADER)
+    leaders = sorted(i for i, status in statuses.items() if status.leadership.role is Role.LEADER)
     if leaders or not set(fleet_ids) <= statuses.keys():
         return _check("leader", [], f"vehicle {_ids(leaders)}" if leaders else "not checked without all vehicles")
     return _check("leader", [Notice(Code.LEADER_LOST, "no vehicle leads; companion fleet leader ID names one")], "")
@@ -185,7 +188,7 @@ def _check(name: str, notices: Collection[Notice], found: str, warnings: Collect
 
 
 def _error(status: Status) -> str:
-    error = status.position_error
+    error = status.motion.position_error
     if error is None:
         return "reports no position error"
     return f"error {error.horizontal_m:.2f} m horizontal, {error.vertical_m:.2f} m vertical"

@@ -132,9 +132,9 @@ class FleetSession(GroundConnection):
             except WireError as error:
                 self.rejected[error.key] += 1
                 continue
-            if str(sample.key_expr) == status_key(report.status.fleet, report.status.vehicle_id):
+            if str(sample.key_expr) == status_key(report.status.agent.fleet, report.status.agent.vehicle_id):
                 self._undrained.append(report)
-                self._newest[report.status.vehicle_id] = (time.monotonic(), report.status)  # at most 250 ids
+                self._newest[report.status.agent.vehicle_id] = (time.monotonic(), report.status)  # at most 250 ids
             else:
                 self.rejected[Code.PEER_KEY_MISMATCH] += 1
 
@@ -231,9 +231,9 @@ class FleetSession(GroundConnection):
     def _command(self, status: Status, name: CommandName, content: Content | None) -> Command:
         """For the vehicle with this status, with a number of its own: a wrong one of a vehicle does not concern the others."""
         with self._lock:
-            number = next_number(self._numbers.get(status.vehicle_id, 0), status.command_number)
-            self._numbers[status.vehicle_id] = number
-        return Command(name, number, self.operator, status.session, content)
+            number = next_number(self._numbers.get(status.agent.vehicle_id, 0), status.command.command_number)
+            self._numbers[status.agent.vehicle_id] = number
+        return Command(name, number, self.operator, status.agent.session, content)
 
     def _send(self, vehicle_id: int, command: Command) -> None:
         key = abort_key if command.name is CommandName.ABORT else command_key

@@ -71,7 +71,7 @@ class Notifier:
 
 def status_line(status: Status) -> str:
     """Phase and health flags of a vehicle: what `systemctl status` shows of it."""
-    return f"{status.phase}; {', '.join(status.flags) or 'no flags'}"
+    return f"{status.phase}; {', '.join(status.safety.flags) or 'no flags'}"
 
 
 def _watchdog_period_s(environment: Mapping[str, str]) -> float | None:

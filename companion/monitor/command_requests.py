@@ -189,7 +189,7 @@ def preview_of(wanted: FleetAction, fleet: FleetConfig, statuses: Mapping[int, S
 def _formation(request: FormationRequest, fleet: FleetConfig, statuses: Sequence[Status]) -> Preview:
     has_height = fleet.law.altitude == "formation"
     slots_enu_m = resolve_slots(request, statuses, fleet)
-    flown_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
+    flown_enu_m = {status.agent.vehicle_id: status.formation.slot.position_enu_m for status in statuses}
     closest_m, _, _ = closest_approach(
         {i: to_separation_metric(slot, has_height) for i, slot in flown_enu_m.items()},
         {i: to_separation_metric(slot, has_height) for i, slot in slots_enu_m.items()},
@@ -199,9 +199,9 @@ def _formation(request: FormationRequest, fleet: FleetConfig, statuses: Sequence
     return Preview(
         paths=tuple(
             PathView(
-                status.vehicle_id,
-                _in_fleet_frame(flown_enu_m[status.vehicle_id], status, reference_enu_m),
-                _in_fleet_frame(slots_enu_m[status.vehicle_id], status, reference_enu_m),
+                status.agent.vehicle_id,
+                _in_fleet_frame(flown_enu_m[status.agent.vehicle_id], status, reference_enu_m),
+                _in_fleet_frame(slots_enu_m[status.agent.vehicle_id], status, reference_enu_m),
             )
             for status in statuses
         ),
@@ -214,9 +214,12 @@ def _formation(request: FormationRequest, fleet: FleetConfig, statuses: Sequence
 def _reference_enu_m(statuses: Sequence[Status]) -> Vector3:
     """That of a leader; before there is one, the mean position of the vehicles less their slots."""
     for status in statuses:
-        if status.reference_enu_m:
-            return status.reference_enu_m
-    origins = [_less(s.position_enu_m, turned_slot(s.slot, s.heading).position_enu_m) for s in statuses]
+        if status.formation.reference_enu_m:
+            return status.formation.reference_enu_m
+    origins = [
+        _less(s.motion.position_enu_m, turned_slot(s.formation.slot, s.formation.heading).position_enu_m)
+        for s in statuses
+    ]
     x, y, z = (sum(axis) / len(origins) for axis in zip(*origins, strict=True))
     return (x, y, z)
 
@@ -226,13 +229,16 @@ def _less(a: Vector3, b: Vector3) -> Vector3:
 
 
 def _in_fleet_frame(slot_enu_m: Vector3, status: Status, reference_enu_m: Vector3) -> Vector3:
-    (x, y, z), (dx, dy, dz) = reference_enu_m, turned_slot(FlownSlot(slot_enu_m), status.heading).position_enu_m
+    (x, y, z), (dx, dy, dz) = (
+        reference_enu_m,
+        turned_slot(FlownSlot(slot_enu_m), status.formation.heading).position_enu_m,
+    )
     return (round(x + dx, 3), round(y + dy, 3), round(z + dz, 3))
 
 
 def _reference(reference: Reference, fleet: FleetConfig, statuses: Sequence[Status]) -> Preview:
     """The track of the reference; None as time where it has no end."""
-    slots_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
+    slots_enu_m = {status.agent.vehicle_id: status.formation.slot.position_enu_m for status in statuses}
     problems = [
         ConfigError("reference", *problem) for problem in reference_problems(fleet, reference, "reference", slots_enu_m)
     ]

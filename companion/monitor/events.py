@@ -78,7 +78,7 @@ def describe_command(time_s: float, fleet: str, vehicle_id: int | None, command:
 def compare_reports(before: Status, after: Status) -> Iterator[tuple[Kind, str, str]]:
     """(kind, code, text) of what two reports of a vehicle, one after the other, show. Its agent reports its last event only."""
     event = after.last_event if after.last_event != before.last_event else None
-    if after.session != before.session:
+    if after.agent.session != before.agent.session:
         yield "event", "AGENT_STARTED", "the agent started again"
     if after.phase is not before.phase:
         reported = event is not None and event.code is Code.PHASE_CHANGED

@@ -74,13 +74,13 @@ class FleetFeed:
 
     def take(self, status: Status, now_s: float) -> None:
         """The newest status of a vehicle, received at this time."""
-        if status.fleet != self._fleet:
+        if status.agent.fleet != self._fleet:
             self.foreign += 1
             return
-        system = self._systems.get(status.vehicle_id)
+        system = self._systems.get(status.agent.vehicle_id)
         if system is None:
-            codec = MavlinkCodec(status.vehicle_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
-            self._systems[status.vehicle_id] = _System(codec, status, now_s)
+            codec = MavlinkCodec(status.agent.vehicle_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
+            self._systems[status.agent.vehicle_id] = _System(codec, status, now_s)
         else:
             system.status, system.received_s = status, now_s
 
@@ -160,7 +160,7 @@ def _texts(system: _System, now_s: float) -> list[MavlinkMessage]:
     ][:TEXTS_PER_STEP]
     system.raised |= frozenset(new)
     system.texts_s.update(dict.fromkeys(new, now_s))
-    return [flag_message(flag, system.status.armed) for flag in new]
+    return [flag_message(flag, system.status.autopilot.armed) for flag in new]
 
 
 def _socket_towards(endpoint: str) -> socket.socket:
@@ -193,7 +193,7 @@ _FLYING = (LandedState.IN_AIR, LandedState.TAKEOFF, LandedState.LANDING)
 
 def state_messages(status: Status) -> list[MavlinkMessage]:
     """What changes rarely: HEARTBEAT, SYS_STATUS, BATTERY_STATUS, EXTENDED_SYS_STATE."""
-    percent = _percent(status.battery_percent)
+    percent = _percent(status.autopilot.battery_percent)
     return [
         _heartbeat(status),
         mavlink.MAVLink_sys_status_message(
@@ -203,7 +203,7 @@ def state_messages(status: Status) -> list[MavlinkMessage]:
             0, mavlink.MAV_BATTERY_FUNCTION_ALL, mavlink.MAV_BATTERY_TYPE_UNKNOWN, 32_767, [VOLTAGE_UNKNOWN] * 10,
             CURRENT_UNKNOWN, -1, -1, percent
         ),
-        mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, int(status.landed))
+        mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, int(status.autopilot.landed))
     ]  # fmt: skip
 
 
@@ -214,22 +214,25 @@ def position_messages(
 
     None of them for a position that is old, with `age_s` since the report, or for values that no vehicle has.
     """
-    if status.state_age_s + age_s > OLDEST_POSITION_S or not _is_possible(status):
+    if status.motion.state_age_s + age_s > OLDEST_POSITION_S or not _is_possible(status):
         return []
-    position_ned_m, velocity_ned_m_s = ned_from_enu(status.position_enu_m), ned_from_enu(status.velocity_enu_m_s)
+    position_ned_m, velocity_ned_m_s = (
+        ned_from_enu(status.motion.position_enu_m),
+        ned_from_enu(status.motion.velocity_enu_m_s),
+    )
     messages: list[MavlinkMessage] = [
         mavlink.MAVLink_local_position_ned_message(time_ms, *position_ned_m, *velocity_ned_m_s)
     ]
     if origin_deg_deg_m is not None:
         north_cm_s, east_cm_s, down_cm_s = (round(speed_m_s * 100.0) for speed_m_s in velocity_ned_m_s)
-        latitude_deg, longitude_deg, altitude_m = geodetic_from_enu(status.position_enu_m, origin_deg_deg_m)
+        latitude_deg, longitude_deg, altitude_m = geodetic_from_enu(status.motion.position_enu_m, origin_deg_deg_m)
         messages.append(
             mavlink.MAVLink_global_position_int_message(
                 time_ms,
                 round(latitude_deg * 1e7),
                 round(longitude_deg * 1e7),
                 round(altitude_m * 1e3),
-                round(status.position_enu_m[2] * 1e3),
+                round(status.motion.position_enu_m[2] * 1e3),
                 north_cm_s,
                 east_cm_s,
                 down_cm_s,
@@ -241,7 +244,7 @@ def position_messages(
 
 def shown_flags(status: Status) -> frozenset[HealthFlag]:
     """The raised flags; on the ground no vehicle misses a leader."""
-    return frozenset(status.flags) - (frozenset() if status.phase in FLYING else WITHOUT_LEADER)
+    return frozenset(status.safety.flags) - (frozenset() if status.phase in FLYING else WITHOUT_LEADER)
 
 
 def flag_message(flag: HealthFlag, armed: bool) -> MavlinkMessage:
@@ -257,10 +260,10 @@ def denial(command: int, to_system: int, to_component: int) -> MavlinkMessage:
 
 def _heartbeat(status: Status) -> MavlinkMessage:
     """GUIDED while the agent's setpoints stream; the autopilot's own mode has no number here."""
-    mode = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if status.armed else 0
+    mode = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if status.autopilot.armed else 0
     mode |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED if status.phase in STREAMING else 0
-    flies = status.landed in _FLYING
-    critical = flies and bool(status.flags)
+    flies = status.autopilot.landed in _FLYING
+    critical = flies and bool(status.safety.flags)
     state = mavlink.MAV_STATE_ACTIVE if flies else mavlink.MAV_STATE_STANDBY
     return mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_QUADROTOR,
@@ -273,7 +276,7 @@ def _heartbeat(status: Status) -> MavlinkMessage:
 
 
 def _is_possible(status: Status) -> bool:
-    furthest_m, fastest_m_s = max(map(abs, status.position_enu_m)), max(map(abs, status.velocity_enu_m_s))
+    furthest_m, fastest_m_s = max(map(abs, status.motion.position_enu_m)), max(map(abs, status.motion.velocity_enu_m_s))
     return furthest_m <= MAX_COORDINATE_M and fastest_m_s <= FASTEST_M_S
 
 

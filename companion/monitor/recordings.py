@@ -58,7 +58,8 @@ def read_flight(folder: Path, warn: Warn, clock_s: Callable[[], float] = time.mo
     unrecorded = (
         (time_s, report)
         for time_s, report in _reports(on_ground, GROUND_STATUS, warn)
-        if first_s <= time_s <= last_s and (report.status.fleet, report.status.vehicle_id) not in recorded_ids
+        if first_s <= time_s <= last_s
+        and (report.status.agent.fleet, report.status.agent.vehicle_id) not in recorded_ids
     )
     reports += islice(unrecorded, MOST_REPORTS + 1)
     if not reports:

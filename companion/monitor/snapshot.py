@@ -81,15 +81,15 @@ class Picture:
         """Reports with their times of arrival, in order. `unix_ahead_s`: Unix time less the clock of these times."""
         for arrived_s, report in reports:
             status = report.status
-            key = (status.fleet, status.vehicle_id)
+            key = (status.agent.fleet, status.agent.vehicle_id)
             before = self._state.vehicles.get(key)
             self._state = fold(self._state, report, arrived_s)
             self._arrivals.setdefault(key, deque(maxlen=TIMES_KEPT)).append(arrived_s)
             if before is not None:
                 for kind, code, text in compare_reports(before.report.status, status):
                     self.events.add(arrived_s + unix_ahead_s, *key, kind, code, text)
-            if not status.armed and status.landed is LandedState.ON_GROUND:
-                self._homes.setdefault(status.fleet, {})[status.vehicle_id] = status.position_enu_m
+            if not status.autopilot.armed and status.autopilot.landed is LandedState.ON_GROUND:
+                self._homes.setdefault(status.agent.fleet, {})[status.agent.vehicle_id] = status.motion.position_enu_m
         if len(self._arrivals) > len(self._state.vehicles):
             self._forget_displaced()
 
@@ -166,7 +166,7 @@ class Picture:
             conditions |= conditions_of(vehicle)
             own_hash = self._hashes.get(vehicle.fleet)
             status = self._state.vehicles[vehicle.fleet, vehicle.vehicle_id].report.status
-            if own_hash is not None and status.formation_hash != own_hash:
+            if own_hash is not None and status.agent.formation_hash != own_hash:
                 conditions[vehicle.fleet, vehicle.vehicle_id, Code.FLEET_FILE_DIFFERS] = OTHER_FILE
         conditions = self._delay.lasting(now_s, conditions)
         for fleet in fleets:

@@ -99,7 +99,7 @@ class ReplaySource:
         self._times = [time_s for time_s, _ in reports]
         self._of_vehicle: dict[VehicleKey, list[int]] = {}  # indices of its reports
         for index, (_, report) in enumerate(reports):
-            self._of_vehicle.setdefault((report.status.fleet, report.status.vehicle_id), []).append(index)
+            self._of_vehicle.setdefault((report.status.agent.fleet, report.status.agent.vehicle_id), []).append(index)
         self._clock = clock
         self._speed = 1.0
         self._next = 0  # the first report that has not been played

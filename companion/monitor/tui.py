@@ -32,6 +32,7 @@ from companion.monitor import MonitorError
 from companion.monitor.tui_page import Line, Style, fit_page, page
 from companion.monitor.tui_rows import NO_MEMBERS, Members, fleets
 from companion.types.values import FLEET_NAME
+from companion.wire.messages import STATUS_FORM
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -168,9 +169,9 @@ def _json(vehicles: list[ReportedVehicle]) -> None:
 
 def vehicle_as_data(vehicle: ReportedVehicle) -> dict[str, Any]:
     """What --json prints of a vehicle."""
-    status = vehicle.status
+    status, flat = vehicle.status, STATUS_FORM.flat(vehicle.status)
     return {
-        **{key: getattr(status, key) for key in PRINTED_OF_STATUS},
+        **{key: getattr(flat, key) for key in PRINTED_OF_STATUS},
         "error_to_slot_m": vehicle.error_to_slot_m,
         "age_s": vehicle.age_s,
         "data_age_s": vehicle.data_age_s,

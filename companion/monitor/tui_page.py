@@ -182,7 +182,7 @@ def _phase(row: TableRow) -> str:
 def _flag(row: TableRow) -> str:
     """The worst one and how many others; of a silent vehicle what it was when it last reported."""
     if row.vehicle.silent:
-        return f"was {row.vehicle.status.phase}{', armed' if row.vehicle.status.armed else ''}"
+        return f"was {row.vehicle.status.phase}{', armed' if row.vehicle.status.autopilot.armed else ''}"
     if not row.problems:
         return NONE
     others = f" +{len(row.problems) - 1}" if len(row.problems) > 1 else ""
@@ -209,7 +209,7 @@ def _of_fresh_position(text: Callable[[TableRow], str]) -> Callable[[TableRow], 
 
 
 def _position(row: TableRow) -> str:
-    return " ".join(f"{x:z.1f}" for x in row.vehicle.status.position_enu_m)
+    return " ".join(f"{x:z.1f}" for x in row.vehicle.status.motion.position_enu_m)
 
 
 def _error(row: TableRow) -> str:
@@ -218,12 +218,12 @@ def _error(row: TableRow) -> str:
 
 
 def _battery(row: TableRow) -> str:
-    percent = row.vehicle.status.battery_percent
+    percent = row.vehicle.status.autopilot.battery_percent
     return NONE if percent is None else f"{percent:.0f}%"
 
 
 def _estimator(row: TableRow) -> str:
-    error = row.vehicle.status.position_error
+    error = row.vehicle.status.motion.position_error
     return NONE if error is None else metres_text(error.horizontal_m)
 
 
@@ -235,8 +235,8 @@ FLAG_WIDTH = 20
 COLUMNS = (
     Column("id", 3, 0, lambda row: str(row.vehicle.vehicle_id), right=True),
     Column("phase", 9, 0, _phase),
-    Column("mode", 12, 80, _live(lambda row: row.vehicle.status.mode_name)),
-    Column("armed", 5, 42, _live(lambda row: "armed" if row.vehicle.status.armed else NONE)),
+    Column("mode", 12, 80, _live(lambda row: row.vehicle.status.autopilot.mode_name)),
+    Column("armed", 5, 42, _live(lambda row: "armed" if row.vehicle.status.autopilot.armed else NONE)),
     Column("batt", 4, 47, _live(_battery), right=True),
     Column("error", 6, 60, _live(_error), right=True),
     Column(
@@ -247,11 +247,17 @@ COLUMNS = (
         right=True,
     ),
     Column("nearest", 8, 69, _nearest, right=True),
-    Column("PrC", 3, 84, _live(lambda row: str(row.vehicle.status.prc)), right=True),
+    Column("PrC", 3, 84, _live(lambda row: str(row.vehicle.status.leadership.prc)), right=True),
     Column("formation", 13, 98, _live(lambda row: formation_text(row.vehicle.status))),
     Column("Hz", 4, 103, _live(lambda row: f"{row.vehicle.report.timing.rate_hz:.1f}"), right=True),
     Column("late", 5, 109, _live(lambda row: duration_text(row.vehicle.report.timing.late_us.p99 / 1e6)), right=True),
-    Column("peers", 5, 115, _live(lambda row: f"{len(row.vehicle.status.peers)}/{row.fleet_size - 1}"), right=True),
+    Column(
+        "peers",
+        5,
+        115,
+        _live(lambda row: f"{len(row.vehicle.status.neighbourhood.peers)}/{row.fleet_size - 1}"),
+        right=True,
+    ),
     Column("rej", 4, 120, _live(lambda row: count_text(row.vehicle.rejected)), right=True),
     Column("position", 21, 142, _live(_of_fresh_position(_position)), right=True),
     Column("sigma", 5, 148, _live(_of_fresh_position(_estimator)), right=True),

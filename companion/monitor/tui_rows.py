@@ -63,7 +63,11 @@ def _fleet(name: str, vehicles: list[ReportedVehicle], members: frozenset[int]) 
     nearest: dict[int, tuple[float, int]] = {}
     known = [row for row in vehicles if not row.silent and not row.has_old_position]
     pairs = [
-        (separation_distance_m(a.status.position_enu_m, b.status.position_enu_m), a.vehicle_id, b.vehicle_id)
+        (
+            separation_distance_m(a.status.motion.position_enu_m, b.status.motion.position_enu_m),
+            a.vehicle_id,
+            b.vehicle_id,
+        )
         for a, b in combinations(known, 2)
     ]
     for distance_m, one, other in sorted(pairs, reverse=True):  # the last one that stays is the nearest
@@ -76,11 +80,11 @@ def _fleet(name: str, vehicles: list[ReportedVehicle], members: frozenset[int]) 
 
 def _nearest(row: ReportedVehicle, on_the_ground: tuple[float, int] | None) -> Nearest | None:
     """As the vehicle itself sees it while it flies in formation, with traffic; else from the positions reported."""
-    seen = row.status.separation.nearest
+    seen = row.status.safety.separation.nearest
     if row.silent:
         return None
     if seen is not None:
-        return Nearest(seen.name, seen.distance_m, row.status.separation.changed_m_s2 > 0.0)
+        return Nearest(seen.name, seen.distance_m, row.status.safety.separation.changed_m_s2 > 0.0)
     return Nearest(str(on_the_ground[1]), on_the_ground[0], False) if on_the_ground else None
 
 
@@ -88,9 +92,9 @@ def heading(fleet: FleetRows) -> list[str]:
     """What matters first. Parts for one or more lines; capitals mark what needs attention."""
     vehicles = [row.vehicle for row in fleet.rows]
     silent = [row.vehicle_id for row in vehicles if row.silent]
-    leaders = [row.vehicle_id for row in vehicles if row.status.role is Role.LEADER and not row.silent]
+    leaders = [row.vehicle_id for row in vehicles if row.status.leadership.role is Role.LEADER and not row.silent]
     open_ = [row.vehicle_id for row in vehicles if row.status.network.security == "none"]
-    holders = sorted({row.status.holder for row in vehicles if row.status.holder and not row.silent})
+    holders = sorted({row.status.command.holder for row in vehicles if row.status.command.holder and not row.silent})
     parts = [f"fleet {fleet.name}: {count(len(vehicles))}"]
     if silent:
         parts.append(f"SILENT: {id_list(silent)}")
@@ -132,7 +136,7 @@ def problems_of(row: ReportedVehicle) -> tuple[VehicleProblem, ...]:
     flags = sorted(
         (VehicleProblem(flag, FLAG_TEXTS[flag]) for flag in row.flags), key=lambda problem: _RANKS[problem.code]
     )
-    return (*flags, *(VehicleProblem(notice.code, notice.text, in_flight=False) for notice in row.status.lacks))
+    return (*flags, *(VehicleProblem(notice.code, notice.text, in_flight=False) for notice in row.status.safety.lacks))
 
 
 def group_problems(problems: Iterable[tuple[int, VehicleProblem]]) -> list[tuple[VehicleProblem, list[int]]]:

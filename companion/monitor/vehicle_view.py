@@ -26,52 +26,60 @@ def is_old(vehicle: VehicleView) -> bool:
 def vehicle_view(vehicle: ReportedVehicle, report_rate_hz: float, fleet: FleetConfig | None) -> VehicleView:
     """`fleet` is None without the fleet file."""
     status = vehicle.status
-    nearest, error, beacon = status.separation.nearest, status.position_error, status.leader_beacon
+    nearest, error, beacon = (
+        status.safety.separation.nearest,
+        status.motion.position_error,
+        status.leadership.leader_beacon,
+    )
     return VehicleView(
-        fleet=status.fleet,
-        vehicle_id=status.vehicle_id,
+        fleet=status.agent.fleet,
+        vehicle_id=status.agent.vehicle_id,
         silent=vehicle.silent,
         age_s=round(vehicle.age_s, 3),
         data_age_s=round(vehicle.data_age_s, 3) if vehicle.data_age_s < NEVER_S else None,
         report_rate_hz=round(report_rate_hz, 1),
         phase=status.phase,
-        role=status.role,
-        mode=status.mode_name,
-        armed=status.armed,
-        landed=status.landed.name.lower(),
-        position_enu_m=_in_mm(status.position_enu_m),
-        velocity_enu_m_s=_in_mm(status.velocity_enu_m_s),
+        role=status.leadership.role,
+        mode=status.autopilot.mode_name,
+        armed=status.autopilot.armed,
+        landed=status.autopilot.landed.name.lower(),
+        position_enu_m=_in_mm(status.motion.position_enu_m),
+        velocity_enu_m_s=_in_mm(status.motion.velocity_enu_m_s),
         position_error_m=(round(error.horizontal_m, 3), round(error.vertical_m, 3)) if error else None,
-        battery_percent=None if status.battery_percent is None else round(status.battery_percent, 1),
-        law=status.law,
-        prc=status.prc,
-        epoch=status.epoch,
+        battery_percent=None
+        if status.autopilot.battery_percent is None
+        else round(status.autopilot.battery_percent, 1),
+        law=status.agent.law,
+        prc=status.leadership.prc,
+        epoch=status.leadership.epoch,
         leader_id=beacon.leader_id if beacon else None,
-        leader_beacon_age_s=status.leader_beacon_age_s,
+        leader_beacon_age_s=status.leadership.leader_beacon_age_s,
         neighbours=_neighbours(status),
-        peers=status.peers,
+        peers=status.neighbourhood.peers,
         slot_position_enu_m=_in_mm(vehicle.slot_position_enu_m) if vehicle.slot_position_enu_m else None,
-        slot_offset_enu_m=_in_mm(status.slot.position_enu_m),
+        slot_offset_enu_m=_in_mm(status.formation.slot.position_enu_m),
         error_to_slot_m=None if vehicle.error_to_slot_m is None else round(vehicle.error_to_slot_m, 3),
-        reference_enu_m=_in_mm(status.reference_enu_m) if status.reference_enu_m else None,
+        reference_enu_m=_in_mm(status.formation.reference_enu_m) if status.formation.reference_enu_m else None,
         formation=formation_text(status),
         reference=reference_text(status),
-        holder=status.holder,
-        flags=tuple([flag_view(flag, status.armed, status.phase in STREAMING, fleet) for flag in vehicle.flags]),
-        lacks=tuple(map(str, status.lacks)),
-        refuses_return=str(status.refuses_return) if status.refuses_return else None,
+        holder=status.command.holder,
+        flags=tuple(
+            [flag_view(flag, status.autopilot.armed, status.phase in STREAMING, fleet) for flag in vehicle.flags]
+        ),
+        lacks=tuple(map(str, status.safety.lacks)),
+        refuses_return=str(status.safety.refuses_return) if status.safety.refuses_return else None,
         nearest=(
             NearestView(
                 nearest.name,
                 round(nearest.distance_m, 3),
                 round(nearest.required_m, 3),
-                round(status.separation.changed_m_s2, 3),
+                round(status.safety.separation.changed_m_s2, 3),
             )
             if nearest
             else None
         ),
-        hover_thrust_norm=round(status.hover_thrust_norm, 4),
-        wind_acceleration_enu_m_s2=_in_mm(status.disturbance_enu_m_s2),
+        hover_thrust_norm=round(status.control.hover_thrust_norm, 4),
+        wind_acceleration_enu_m_s2=_in_mm(status.control.disturbance_enu_m_s2),
         timing=_timing(vehicle.report.timing),
         network=status.network,
         recording=status.recording,
@@ -88,13 +96,15 @@ def _in_mm(vector: Vector3) -> Vector3:
 
 def _neighbours(status: Status) -> tuple[NeighbourView, ...]:
     """A report of an older agent has neither weights nor ages."""
-    known = len(status.neighbours)
+    known = len(status.neighbourhood.neighbours)
     return tuple(
         NeighbourView(
             vehicle_id, None if weight is None else round(weight, 4), None if age_s is None else round(age_s, 3)
         )
         for vehicle_id, weight, age_s in zip_longest(
-            status.neighbours, status.weights[:known], status.neighbour_ages_s[:known]
+            status.neighbourhood.neighbours,
+            status.neighbourhood.weights[:known],
+            status.neighbourhood.neighbour_ages_s[:known],
         )
     )
 

@@ -10,7 +10,7 @@ In MCAP: `log_time` is that of `log_time_ns`, and `sequence` of /inbox and /outb
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, TypeVar, get_args
 
@@ -32,7 +32,7 @@ from companion.types.errors import CompanionError
 from companion.types.notices import Notice
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import MAX_VEHICLES
-from companion.wire.messages import StatusReport
+from companion.wire.messages import FlatReport, StatusReport, flat_report, report_of
 
 T = TypeVar("T")
 Tick = TypeVar("Tick", bound=Struct)
@@ -96,7 +96,7 @@ encode_outbox, decode_outbox = _outbox.encode, _outbox.decode
 
 def encode(message: Message) -> bytes:
     """A message of another topic. NaN and infinity become null."""
-    return _encoder.encode(message)
+    return _encoder.encode(flat_report(message) if isinstance(message, StatusReport) else message)
 
 
 class TopicDecoder(Generic[T]):
@@ -105,11 +105,13 @@ class TopicDecoder(Generic[T]):
     def __init__(self, type_: type[T]) -> None:
         self._type = type_
         self._decoder = msgspec.json.Decoder(type_)
+        self._read: Callable[[Any], Any] = report_of if type_ is FlatReport else lambda message: message
 
     def decode(self, data: bytes) -> T:
         """The message. Raises RecordError."""
         try:
-            return self._decoder.decode(data)
+            message: T = self._read(self._decoder.decode(data))
+            return message
         except DECODE_ERRORS as error:
             raise RecordError(f"not a {self._type.__name__}: {_short(error)}") from error
 

@@ -17,7 +17,7 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import astuple
 
-from companion.types.values import flat_paths, from_flat
+from companion.types.values import flat_fields, maker
 
 T = TypeVar("T")
 Convert = Callable[[Any], Any]
@@ -116,9 +116,9 @@ class _Forms:
         return self._structs[type_, tagged]
 
     def _new_struct(self, type_: type[Struct], tagged: bool) -> Form[Any]:
-        kinds = flat_paths(type_)
-        values_of = attrgetter(*kinds) if any("." in path for path in kinds) else astuple
-        forms = [(path.rpartition(".")[2], self.of(kind)) for path, kind in kinds.items()]
+        found = flat_fields(type_)
+        values_of = attrgetter(*found) if any("." in path for path in found) else astuple
+        make, forms = maker(type_), [(field.name, self.of(field.type)) for field in found.values()]
         packs = [(i, form.pack) for i, (_, form) in enumerate(forms) if form.pack]
         unpacks = [(i, form.unpack) for i, (_, form) in enumerate(forms) if form.unpack]
         wire = msgspec.defstruct(
@@ -141,7 +141,7 @@ class _Forms:
             values = list(astuple(value))
             for i, convert in unpacks:
                 values[i] = convert(values[i])
-            return from_flat(type_, iter(values))
+            return make(values)
 
         packed: Convert = pack if packs else values_of
         if tagged:

@@ -29,7 +29,7 @@ from companion.types.commands import Command, CommandReply
 from companion.types.flight import Role
 from companion.types.notices import Notice
 from companion.types.values import Vector3
-from companion.wire.messages import StatusReport
+from companion.wire.messages import FlatReport
 from companion.wire.rounding import ACCELERATION, LENGTH, VELOCITY
 
 FORMAT = "formation-companion"
@@ -128,11 +128,11 @@ TYPES: dict[str, tuple[str, type]] = {  # name of the schema and type of the mes
     OUTBOX: ("companion.Outbox", _OutboxShown),
     DECISION: ("companion.DecisionRecord", DecisionRecord),
     TIMING: ("companion.TimingRecord", TimingRecord),
-    STATUS: ("companion.StatusReport", StatusReport),
+    STATUS: ("companion.StatusReport", FlatReport),
     EVENT: ("companion.Notice", Notice),
     COMMAND: ("companion.Command", Command),
     REPLY: ("companion.CommandReply", CommandReply),
-    GROUND_STATUS: ("companion.StatusReport", StatusReport),
+    GROUND_STATUS: ("companion.StatusReport", FlatReport),
     GROUND_COMMAND: ("companion.Command", Command),
 }
 

@@ -255,14 +255,14 @@ def timing_of(time_s: Sequence[float], records: Sequence[TimingRecord]) -> TickT
 
 def statuses_of(time_s: Sequence[float], records: Sequence[Status]) -> Statuses:
     """The columns of status reports."""
-    errors = [record.position_error for record in records]
+    errors = [record.motion.position_error for record in records]
     return Statuses(
         time_s=np.array(time_s, dtype=np.float64),
-        armed=np.array([record.armed for record in records], dtype=np.bool_),
-        landed=np.array([int(record.landed) for record in records], dtype=np.float64),
-        mode=_words(records, "mode_name"),
+        armed=np.array([record.autopilot.armed for record in records], dtype=np.bool_),
+        landed=np.array([int(record.autopilot.landed) for record in records], dtype=np.float64),
+        mode=_words(records, "autopilot.mode_name"),
         error_horizontal_m=np.array([error.horizontal_m if error else np.nan for error in errors], dtype=np.float64),
-        peers=tuple(frozenset(record.peers) for record in records),
+        peers=tuple(frozenset(record.neighbourhood.peers) for record in records),
     )
 
 

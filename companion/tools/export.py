@@ -26,7 +26,7 @@ from companion.tools.output import complete_or_absent
 from companion.types.errors import UnusableError
 from companion.types.status import NO_STATE_AGE_S
 from companion.types.values import printable
-from companion.wire.messages import StatusReport
+from companion.wire.messages import FlatReport, StatusReport, flat_report
 
 Getter = Callable[[Any], Any]
 AXES = ("east", "north", "up")
@@ -87,7 +87,7 @@ def _cell(value: Any) -> Any:
     return value
 
 
-DECISIONS, STATUSES = Table(DecisionRecord), Table(StatusReport)
+DECISIONS, STATUSES = Table(DecisionRecord), Table(FlatReport)
 TIME_COLUMNS = ("time_s", "unix_s")
 DIGITS = 6
 STATE_COLUMNS = frozenset(
@@ -119,8 +119,8 @@ class CsvKind:
 
 def _status_cells(report: StatusReport) -> list[Any]:
     """Position, velocity and their age are empty before the first position."""
-    cells = STATUSES.cells(report)
-    if report.status.state_age_s < NO_STATE_AGE_S:
+    cells = STATUSES.cells(flat_report(report))
+    if report.status.motion.state_age_s < NO_STATE_AGE_S:
         return cells
     return ["" if name in STATE_COLUMNS else cell for name, cell in zip(STATUSES.names, cells, strict=True)]
 

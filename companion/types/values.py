@@ -5,12 +5,13 @@ msgspec enforces the bounds where a message is decoded; NaN and infinity lie out
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from operator import attrgetter, itemgetter
 from sys import float_info
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
-from msgspec import Meta, Struct
-from msgspec.structs import fields
+from msgspec import Meta, Struct, defstruct
+from msgspec.structs import FieldInfo, astuple, fields
 
 Vector3 = tuple[float, float, float]
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
@@ -57,24 +58,60 @@ class Part(Struct, frozen=True, gc=False):
     """A part of a message. In bytes and in recordings its fields stand in its place, so that the message is flat."""
 
 
-def flat_paths(message: type[Struct]) -> dict[str, type]:
-    """The fields of a message in the order of its bytes: dotted path -> type, with the fields of a part in its place."""
-    paths: dict[str, type] = {}
+def flat_fields(message: type[Struct]) -> dict[str, FieldInfo]:
+    """The fields of a message in the order of its bytes, by their dotted paths, with those of a part in its place.
+
+    Fields with a default came later: they stand behind the others, those of `LATER` first.
+    """
+    later = getattr(message, "LATER", ())
+    order = {name: index for index, name in enumerate(later)}
+    paths = sorted(_paths(message), key=lambda item: 0 if item[1].required else 1 + order.get(item[1].name, len(later)))
+    return dict(paths)
+
+
+def _paths(message: type[Struct]) -> Iterator[tuple[str, FieldInfo]]:
     for field in fields(message):
-        if isinstance(field.type, type) and issubclass(field.type, Part):
-            paths |= {f"{field.name}.{path}": kind for path, kind in flat_paths(field.type).items()}
+        if _is_part(field):
+            yield from ((f"{field.name}.{path}", inner) for path, inner in _paths(field.type))
         else:
-            paths[field.name] = field.type
-    return paths
+            yield field.name, field
 
 
-def from_flat(message: type[M], values: Iterator[Any]) -> M:
-    """The message of its values in the order of `flat_paths`."""
-    return message(
-        *[
-            from_flat(field.type, values)
-            if isinstance(field.type, type) and issubclass(field.type, Part)
-            else next(values)
-            for field in fields(message)
-        ]
-    )
+def _is_part(field: FieldInfo) -> bool:
+    return isinstance(field.type, type) and issubclass(field.type, Part)
+
+
+def maker(message: type[M]) -> Callable[[Sequence[Any]], M]:
+    """Makes the message of its values in the order of `flat_fields`."""
+    return _maker(message, "", {path: index for index, path in enumerate(flat_fields(message))})
+
+
+def _maker(message: type[M], prefix: str, index: Mapping[str, int]) -> Callable[[Sequence[Any]], M]:
+    getters = [
+        _maker(field.type, f"{prefix}{field.name}.", index)
+        if _is_part(field)
+        else itemgetter(index[prefix + field.name])
+        for field in fields(message)
+    ]
+    return lambda values: message(*[get(values) for get in getters])
+
+
+class FlatForm(Generic[M]):
+    """A message as the struct `type`, which has the fields of the parts in their place: so it is in bytes."""
+
+    def __init__(self, message: type[M]) -> None:
+        found = flat_fields(message)
+        self.type: type[Any] = defstruct(
+            message.__name__,
+            [(field.name, field.type, *(() if field.required else (field.default,))) for field in found.values()],
+            frozen=True,
+            gc=False,
+        )
+        self._values = attrgetter(*found)
+        self._make = maker(message)
+
+    def flat(self, message: M) -> Any:
+        return self.type(*self._values(message))
+
+    def whole(self, flat: Any) -> M:
+        return self._make(astuple(flat))

@@ -8,7 +8,7 @@ receiver of ADS-B needs it.
 from __future__ import annotations
 
 import re
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 from msgspec.structs import astuple
@@ -25,6 +25,7 @@ from companion.types.status import Status
 from companion.types.values import (
     ChangeDuration,
     Finite,
+    FlatForm,
     MissionTime,
     Number,
     SlotsOfAll,
@@ -109,20 +110,36 @@ class StatusReport(msgspec.Struct, frozen=True, gc=False):
     timing: Timing
 
 
+STATUS_FORM = FlatForm(Status)
+FlatReport: type[Any] = msgspec.defstruct(
+    "StatusReport", [("status", STATUS_FORM.type), ("timing", Timing)], frozen=True, gc=False
+)
+"""A StatusReport as it is in bytes: its status without parts."""
+
+
+def flat_report(report: StatusReport) -> Any:
+    return FlatReport(STATUS_FORM.flat(report.status), report.timing)
+
+
+def report_of(flat: Any) -> StatusReport:
+    """The report of a FlatReport."""
+    return StatusReport(STATUS_FORM.whole(flat.status), flat.timing)
+
+
 _encoder = msgspec.msgpack.Encoder()
-_report_decoder = msgspec.msgpack.Decoder(StatusReport)
+_report_decoder = msgspec.msgpack.Decoder(FlatReport)
 _command_decoder = msgspec.msgpack.Decoder(Command)
 _reply_decoder = msgspec.msgpack.Decoder(CommandReply)
 
 
 def encode(message: StatusReport | Command | CommandReply | TargetSample | TrafficSample) -> bytes:
     """The message as a MessagePack map behind the version byte."""
-    return seal(_encoder.encode(message))
+    return seal(_encoder.encode(flat_report(message) if isinstance(message, StatusReport) else message))
 
 
 def decode_report(data: bytes) -> StatusReport:
     """Raises WireError."""
-    return decode_sealed(_report_decoder, data, Code.REPORT_MALFORMED, "status report")
+    return report_of(decode_sealed(_report_decoder, data, Code.REPORT_MALFORMED, "status report"))
 
 
 def decode_command(data: bytes) -> Command:

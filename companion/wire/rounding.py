@@ -13,7 +13,7 @@ from companion.geometry.vectors import rounded
 from companion.types.autopilot import AttitudeTarget, PositionError
 from companion.types.formation import FlownSlot, Heading, LeaderBeacon
 from companion.types.peers import PeerPacket
-from companion.types.status import SeparationReport, Status
+from companion.types.status import ControlReport, MotionReport, SeparationReport, Status
 from companion.types.tick import Outbox
 from companion.types.values import Vector3
 
@@ -68,26 +68,41 @@ def _round_packet(packet: PeerPacket) -> PeerPacket:
 
 
 def _round_status(status: Status) -> Status:
-    beacon, age_s, target_age_s = status.leader_beacon, status.leader_beacon_age_s, status.target_age_s
-    reference_enu_m, error = status.reference_enu_m, status.position_error
+    motion, control, lead, formation = status.motion, status.control, status.leadership, status.formation
+    beacon, age_s, target_age_s = lead.leader_beacon, lead.leader_beacon_age_s, formation.target_age_s
+    reference_enu_m, error, ages_s = (
+        formation.reference_enu_m,
+        motion.position_error,
+        status.neighbourhood.neighbour_ages_s,
+    )
     return replace(
         status,
-        position_enu_m=rounded(status.position_enu_m, LENGTH),
-        velocity_enu_m_s=rounded(status.velocity_enu_m_s, VELOCITY),
-        state_age_s=round(status.state_age_s, TIME),
-        hover_thrust_norm=round(status.hover_thrust_norm, SHARE),
-        disturbance_enu_m_s2=rounded(status.disturbance_enu_m_s2, ACCELERATION),
-        leader_beacon=_beacon(beacon) if beacon else None,
-        leader_beacon_age_s=None if age_s is None else round(age_s, TIME),
-        slot=_slot(status.slot),
-        reference_enu_m=rounded(reference_enu_m, LENGTH) if reference_enu_m else None,
-        reference_s=round(status.reference_s, TIME),
-        target_age_s=None if target_age_s is None else round(target_age_s, TIME),
-        position_error=_error(error) if error else None,
-        largest_step_deg=round(status.largest_step_deg, LENGTH),
-        heading=_heading(status.heading),
-        separation=_separation(status.separation),
-        neighbour_ages_s=tuple([round(age_s, TIME) for age_s in status.neighbour_ages_s]),
+        motion=MotionReport(
+            position_enu_m=rounded(motion.position_enu_m, LENGTH),
+            velocity_enu_m_s=rounded(motion.velocity_enu_m_s, VELOCITY),
+            state_age_s=round(motion.state_age_s, TIME),
+            position_error=_error(error) if error else None,
+        ),
+        control=ControlReport(
+            hover_thrust_norm=round(control.hover_thrust_norm, SHARE),
+            disturbance_enu_m_s2=rounded(control.disturbance_enu_m_s2, ACCELERATION),
+            largest_step_deg=round(control.largest_step_deg, LENGTH),
+        ),
+        leadership=replace(
+            lead,
+            leader_beacon=_beacon(beacon) if beacon else None,
+            leader_beacon_age_s=None if age_s is None else round(age_s, TIME),
+        ),
+        neighbourhood=replace(status.neighbourhood, neighbour_ages_s=tuple([round(age_s, TIME) for age_s in ages_s])),
+        formation=replace(
+            formation,
+            slot=_slot(formation.slot),
+            reference_enu_m=rounded(reference_enu_m, LENGTH) if reference_enu_m else None,
+            reference_s=round(formation.reference_s, TIME),
+            target_age_s=None if target_age_s is None else round(target_age_s, TIME),
+            heading=_heading(formation.heading),
+        ),
+        safety=replace(status.safety, separation=_separation(status.safety.separation)),
     )
 
 

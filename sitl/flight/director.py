@@ -138,7 +138,7 @@ class Director:
             self._watch.end_formation(self._clock.now_s())
         if step.may_fail:
             self._try(step)
-            phases |= {status.vehicle_id: status.phase for status in self._watch.statuses()}
+            phases |= {status.agent.vehicle_id: status.phase for status in self._watch.statuses()}
             return
         Order(self._session, self._watch, step, self._clock).carry_out(self._pass)
         if step.command not in TO_ALL:
@@ -153,7 +153,7 @@ class Director:
         self._pass_until(self._clock.now_s() + step.for_s)
 
     def _leaders_formed(self) -> bool:
-        leads = [status.phase for status in self._watch.statuses() if status.role is Role.LEADER]
+        leads = [status.phase for status in self._watch.statuses() if status.leadership.role is Role.LEADER]
         return bool(leads) and set(leads) == {FlightPhase.FORMATION}
 
     def _wait_until(self, step: TimelineStep, name: str, phases: Mapping[int, FlightPhase]) -> None:
@@ -184,9 +184,9 @@ class Director:
         while self._clock.now_s() < until_s:
             self._pass()
             for status in self._watch.statuses():
-                if status.phase is not phases[status.vehicle_id]:
-                    left = phases[status.vehicle_id]
-                    raise FlightFailure(f"vehicle {status.vehicle_id} left phase {left}: {newest_report(status)}")
+                if status.phase is not phases[status.agent.vehicle_id]:
+                    left = phases[status.agent.vehicle_id]
+                    raise FlightFailure(f"vehicle {status.agent.vehicle_id} left phase {left}: {newest_report(status)}")
             silent = [i for i in self._watch.silent(self._clock.now_s()) if phases[i] is not FlightPhase.OBSERVE]
             if silent:
                 raise FlightFailure(f"no report from {id_list(silent)} for {SILENT_S:g} s")
@@ -219,22 +219,24 @@ class Director:
             if next_command_s == began_s + LISTEN_S:
                 self._progress.begin_step("landing all", now_s)
             for name in (CommandName.LAND, CommandName.DISARM):
-                ids = [s.vehicle_id for s in up if _landing_command(s) is name]
+                ids = [s.agent.vehicle_id for s in up if _landing_command(s) is name]
                 if ids:
                     self._session.ask(ids, name, REPLY_WITHIN_S)
             next_command_s = now_s + REPEAT_S
         if not (up := self._still_up(self._clock.now_s())):
             return None
-        return f"{id_list([s.vehicle_id for s in up])} could not be landed: {newest_report(up[0])}"
+        return f"{id_list([s.agent.vehicle_id for s in up])} could not be landed: {newest_report(up[0])}"
 
     def _still_up(self, now_s: float) -> list[Status]:
         reporting = {vehicle.vehicle_id for vehicle in self._watch.vehicles_at(now_s) if not vehicle.silent}
-        known = [status for status in self._watch.statuses() if status.vehicle_id in reporting - set(self._lost())]
-        return [status for status in known if status.armed or status.phase not in GROUND_PHASES]
+        known = [
+            status for status in self._watch.statuses() if status.agent.vehicle_id in reporting - set(self._lost())
+        ]
+        return [status for status in known if status.autopilot.armed or status.phase not in GROUND_PHASES]
 
 
 def _landing_command(status: Status) -> CommandName | None:
     if status.phase is FlightPhase.LAND:
         return None
-    observed = status.landed is LandedState.ON_GROUND and status.phase is FlightPhase.OBSERVE
+    observed = status.autopilot.landed is LandedState.ON_GROUND and status.phase is FlightPhase.OBSERVE
     return CommandName.DISARM if status.phase in ON_GROUND or observed else CommandName.LAND

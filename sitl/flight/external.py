@@ -97,7 +97,7 @@ class Readiness:
         known = {vehicle_id: statuses(vehicle_id) for vehicle_id in sorted(self._starts_enu_m)}
         lacking = {i: self._lacks(i, status) for i, status in known.items()}
         if not any(lacking.values()):
-            lacking = self._at_same_position({i: status.position_enu_m for i, status in known.items() if status})
+            lacking = self._at_same_position({i: status.motion.position_enu_m for i, status in known.items() if status})
         self.lacking = reasons_in_words({i: reason for i, reason in lacking.items() if reason})
         if self.lacking:
             self._ready_since_s = None
@@ -120,15 +120,18 @@ class Readiness:
         """What a vehicle on the ground lacks before a formation from its start; "" for nothing."""
         if status is None:
             return "no status from its agent yet"
-        missing = [*(flag for flag in status.flags if flag not in WITHOUT_LEADER), *map(str, status.lacks)]
+        missing = [
+            *(flag for flag in status.safety.flags if flag not in WITHOUT_LEADER),
+            *map(str, status.safety.lacks),
+        ]
         if missing:
             return "; ".join(missing)
-        return _away(status.position_enu_m, self._starts_enu_m[vehicle_id], self._origin)
+        return _away(status.motion.position_enu_m, self._starts_enu_m[vehicle_id], self._origin)
 
 
 def armed_already(statuses: Collection[Status]) -> str:
     """Vehicles that are armed already, in one line; they must not be commanded. "" if there are none."""
-    armed = sorted(status.vehicle_id for status in statuses if status.armed)
+    armed = sorted(status.agent.vehicle_id for status in statuses if status.autopilot.armed)
     if not armed:
         return ""
     return f"{id_list(armed)} armed before the flight; land and disarm first"

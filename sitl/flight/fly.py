@@ -136,7 +136,11 @@ class _Flight:
 def _left_in_the_air(watch: FlightWatch, lost: set[int]) -> list[str]:
     """External vehicles that are not on the ground, and why, one line each."""
     lines = []
-    if alone := [status.vehicle_id for status in watch.statuses() if status.armed and status.vehicle_id in lost]:
+    if alone := [
+        status.agent.vehicle_id
+        for status in watch.statuses()
+        if status.autopilot.armed and status.agent.vehicle_id in lost
+    ]:
         lines.append(f"{id_list(alone)} left armed, without an agent that could land it: use a ground station")
     if others := sorted(watch.flown_by_others() - lost):
         lines.append(f"{id_list(others)} left in the air: another operator or the autopilot set its mode")

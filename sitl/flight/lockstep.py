@@ -292,7 +292,7 @@ class VirtualAgent:
             self._distant_ids = outbox.distant_ids
             self.network.set_low_rate_peers(self.vehicle_id, outbox.distant_ids, now_s)
         if outbox.status:
-            self.status, self.session = outbox.status, outbox.status.session
+            self.status, self.session = outbox.status, outbox.status.agent.session
             self._reports.append(StatusReport(outbox.status, NOT_TIMED))
 
 

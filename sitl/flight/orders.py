@@ -55,7 +55,9 @@ class Order:
         self._rule = RULES.get(step.command)  # None for a change: the flight continues under it in its phase
         self._ids = sorted(step.vehicles) or watch.vehicle_ids
         if step.command is CommandName.REFERENCE:  # for the vehicles that may lead
-            followers_only = {status.vehicle_id for status in watch.statuses() if status.reference is None}
+            followers_only = {
+                status.agent.vehicle_id for status in watch.statuses() if status.formation.reference is None
+            }
             self._ids = [i for i in self._ids if i not in followers_only]
         self._content: Content | None = None
         self._goal: Goal | None = None  # of a change that was given
@@ -126,7 +128,9 @@ class Order:
         if self._rule is None:  # a vehicle that missed a change of leaders learns it from the others
             return self._goal is not None and self._goal.reached(status)
         lands = self._step.command in (CommandName.DISARM, *TO_THE_GROUND)
-        return vehicle_id in self._accepted_s and status.phase is self._rule.to and not (lands and status.armed)
+        return (
+            vehicle_id in self._accepted_s and status.phase is self._rule.to and not (lands and status.autopilot.armed)
+        )
 
     def _check_phase(self, vehicle_id: int, now_s: float) -> None:
         """Repeat an accepted command for a vehicle that left its phases. Raises FlightFailure for one that observes."""
@@ -139,7 +143,7 @@ class Order:
             self._reasons[vehicle_id] = newest_report(status)
             if status.phase is FlightPhase.OBSERVE and self._step.command not in MAY_OBSERVE:
                 raise FlightFailure(f"vehicle {vehicle_id} gave up at {self._step.command}: {newest_report(status)}")
-        elif self._step.command in TO_THE_GROUND and status.phase is rule.to and status.armed:
+        elif self._step.command in TO_THE_GROUND and status.phase is rule.to and status.autopilot.armed:
             # Mode and armed state come in different messages and may disagree for a while after touchdown.
             observing_since_s = self._observing_since_s.setdefault(vehicle_id, now_s)
             if now_s > observing_since_s + DISARM_SEEN_WITHIN_S:
@@ -156,10 +160,10 @@ class Order:
             return self._reasons.get(vehicle_id, "")
         match self._content:
             case Lead(epoch=epoch):
-                return f"{status.role} in epoch {status.epoch}, expected epoch {epoch}"
+                return f"{status.leadership.role} in epoch {status.leadership.epoch}, expected epoch {epoch}"
             case FormationChange(number=number) as change:
-                if status.slot.formation != number:
-                    return f"formation {status.slot.formation}, expected {number}"
+                if status.formation.slot.formation != number:
+                    return f"formation {status.formation.slot.formation}, expected {number}"
                 return f"its slot is {way_left_m(status, change):.2f} m from that of formation {number}"
         under_way = self._rule is not None and status.phase is self._rule.via
         return f"still in phase {status.phase}" if under_way else newest_report(status)
@@ -168,7 +172,7 @@ class Order:
 def content_of(step: TimelineStep, statuses: Sequence[Status]) -> Content | None:
     """What the command of a step carries, by the newest reports; None for a command that changes the phase."""
     if step.command is CommandName.LEAD:
-        return Lead(step.leaders, next_epoch(status.epoch for status in statuses))
+        return Lead(step.leaders, next_epoch(status.leadership.epoch for status in statuses))
     if step.formation is not None:
         return change_to(_slots(step.formation, statuses), statuses, step.formation.speed_m_s)
     if step.reference is not None:
@@ -185,4 +189,4 @@ def _slots(wanted: FormationStep, statuses: Sequence[Status]) -> Mapping[int, Ve
 
 
 def newest_report(status: Status) -> str:
-    return str(status.last_event or f"phase {status.phase}, mode {status.mode_name}")
+    return str(status.last_event or f"phase {status.phase}, mode {status.autopilot.mode_name}")

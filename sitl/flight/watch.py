@@ -61,7 +61,7 @@ class FlightWatch:
     def receive(self, report: StatusReport, now_s: float) -> None:
         """Process one report received at `now_s`."""
         status = report.status
-        vehicle_id = status.vehicle_id
+        vehicle_id = status.agent.vehicle_id
         if vehicle_id not in self.vehicle_ids:
             return
         before = self.status(vehicle_id)
@@ -78,7 +78,7 @@ class FlightWatch:
             self.newest_timing[vehicle_id] = report.timing
             self.timing_received_s[vehicle_id] = now_s
         if vehicle_id in self._entered_s:
-            self.largest_step_deg[vehicle_id] = status.largest_step_deg
+            self.largest_step_deg[vehicle_id] = status.control.largest_step_deg
             if report.timing.ticks:
                 self.timing[vehicle_id] = report.timing
         event, time_s = status.last_event, round(now_s - self.began_s, 3)
@@ -86,15 +86,18 @@ class FlightWatch:
             self.events.append(ReportedEvent(time_s=time_s, vehicle=vehicle_id, code=event.code, event=event.text))
 
     def _follow_position(self, status: Status, now_s: float) -> None:
-        reported, time_s = self.reported[status.vehicle_id], now_s - status.state_age_s
-        if status.armed and (not reported or time_s > reported[-1][0] + SAME_POSITION_S):
-            reported.append((time_s, status.position_enu_m))
+        reported, time_s = self.reported[status.agent.vehicle_id], now_s - status.motion.state_age_s
+        if status.autopilot.armed and (not reported or time_s > reported[-1][0] + SAME_POSITION_S):
+            reported.append((time_s, status.motion.position_enu_m))
 
     def _follow_slot(self, status: Status, now_s: float) -> None:
         """Of a constant slot only the first and the last time are kept."""
-        if status.slot.moves:
-            self.slot_moved_s[status.vehicle_id] = now_s
-        slots, slot_enu_m = self._slots[status.vehicle_id], turned_slot(status.slot, status.heading).position_enu_m
+        if status.formation.slot.moves:
+            self.slot_moved_s[status.agent.vehicle_id] = now_s
+        slots, slot_enu_m = (
+            self._slots[status.agent.vehicle_id],
+            turned_slot(status.formation.slot, status.formation.heading).position_enu_m,
+        )
         if len(slots) > 1 and slots[-1][1] == slots[-2][1] == slot_enu_m:
             slots.pop()
         slots.append((now_s, slot_enu_m))
@@ -141,20 +144,24 @@ class FlightWatch:
 
     def _follow_reference(self, status: Status, now_s: float) -> None:
         """The RFT continues from one formation to the next until the vehicles are disarmed."""
-        if status.phase is FlightPhase.FORMATION and status.reference_enu_m is not None:
-            self.led_enu_m.append((now_s, status.reference_enu_m))
-        if not status.armed:
+        if status.phase is FlightPhase.FORMATION and status.formation.reference_enu_m is not None:
+            self.led_enu_m.append((now_s, status.formation.reference_enu_m))
+        if not status.autopilot.armed:
             self._flown_s = 0.0
-        elif status.role is Role.LEADER and status.leader_beacon and status.leader_beacon.reference_s > 0.0:
-            self._flown_s = status.leader_beacon.reference_s
-            if status.reference_enu_m is not None:
+        elif (
+            status.leadership.role is Role.LEADER
+            and status.leadership.leader_beacon
+            and status.leadership.leader_beacon.reference_s > 0.0
+        ):
+            self._flown_s = status.leadership.leader_beacon.reference_s
+            if status.formation.reference_enu_m is not None:
                 while self.reference and self.reference[-1][0] >= self._flown_s:
                     self.reference.pop()  # of an earlier flight, or the last report of the leader before
-                self.reference.append((self._flown_s, status.reference_enu_m))
+                self.reference.append((self._flown_s, status.formation.reference_enu_m))
 
     def _follow_topology(self, status: Status, now_s: float) -> None:
-        vehicle_id, last = status.vehicle_id, self._drawn.get(status.vehicle_id)
-        if status.role is Role.LEADER:
+        vehicle_id, last = status.agent.vehicle_id, self._drawn.get(status.agent.vehicle_id)
+        if status.leadership.role is Role.LEADER:
             self._leader_ids.add(vehicle_id)
         else:
             self._leader_ids.discard(vehicle_id)
@@ -162,10 +169,10 @@ class FlightWatch:
             self._drawn[vehicle_id] = TopologyChange(
                 time_s=round(now_s - self.began_s, 3),
                 vehicle=vehicle_id,
-                role=status.role,
-                epoch=status.epoch,
-                prc=status.prc,
-                neighbours=status.neighbours,
+                role=status.leadership.role,
+                epoch=status.leadership.epoch,
+                prc=status.leadership.prc,
+                neighbours=status.neighbourhood.neighbours,
                 in_formation=status.phase is FlightPhase.FORMATION,
             )
             self.topology.append(self._drawn[vehicle_id])
@@ -179,8 +186,10 @@ class FlightWatch:
 
     def flown_by_others(self) -> set[int]:
         """Vehicles in the air whose agent only observes: a pilot or an autopilot failsafe flies them."""
-        observing = [status for status in self.statuses() if status.armed and status.phase is FlightPhase.OBSERVE]
-        return {status.vehicle_id for status in observing if status.landed is not LandedState.ON_GROUND}
+        observing = [
+            status for status in self.statuses() if status.autopilot.armed and status.phase is FlightPhase.OBSERVE
+        ]
+        return {status.agent.vehicle_id for status in observing if status.autopilot.landed is not LandedState.ON_GROUND}
 
     def vehicles_at(self, now_s: float) -> list[ReportedVehicle]:
         return vehicles_at(self._state, now_s)

@@ -70,8 +70,8 @@ def vehicle_line(vehicle: ReportedVehicle) -> str:
     flags = [flag for flag in vehicle.flags if flag not in WITHOUT_LEADER or status.phase in NEEDS_A_LEADER]
     alarm = f"   ! {', '.join(flags)}" if flags else ""
     return (
-        f"  vehicle {vehicle.vehicle_id:<3d} {status.role:<8}  {status.phase:<9}  altitude {status.position_enu_m[2]:5.2f} m"
-        f"   error {error}   PrC {status.prc}   {data}{alarm}"
+        f"  vehicle {vehicle.vehicle_id:<3d} {status.leadership.role:<8}  {status.phase:<9}"
+        f"  altitude {status.motion.position_enu_m[2]:5.2f} m   error {error}   PrC {status.leadership.prc}   {data}{alarm}"
     )
 
 

@@ -232,5 +232,11 @@ class TopologyChange(Struct, frozen=True, kw_only=True):
 
     def same_as(self, status: Status) -> bool:
         own = (self.role, self.epoch, self.prc, self.neighbours, self.in_formation)
-        reported = (status.role, status.epoch, status.prc, status.neighbours, status.phase is FlightPhase.FORMATION)
+        reported = (
+            status.leadership.role,
+            status.leadership.epoch,
+            status.leadership.prc,
+            status.neighbourhood.neighbours,
+            status.phase is FlightPhase.FORMATION,
+        )
         return own == reported

@@ -29,7 +29,19 @@ from companion.types.autopilot import LandedState, PositionError
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
-from companion.types.status import NearestVehicle, SeparationReport, Status
+from companion.types.status import (
+    AgentIdentity,
+    AutopilotReport,
+    ControlReport,
+    FormationReport,
+    LeadershipReport,
+    MotionReport,
+    NearestVehicle,
+    NeighbourReport,
+    SafetyReport,
+    SeparationReport,
+    Status,
+)
 from companion.types.values import Vector3
 from companion.wire.keys import status_key
 from companion.wire.messages import Percentiles, StatusReport, Timing, encode
@@ -78,39 +90,49 @@ class SteadyFleet:
         (reference_enu_m, velocity_enu_m_s, _), beacon_age_s = self._curve(time_s), 0.02 * (prcs[vehicle_id] - 1)
         events = int((time_s + vehicle_id) / EVENT_EVERY_S)
         status = Status(
-            vehicle_id=vehicle_id,
-            session=1,
-            fleet=self.fleet.name,
-            formation_hash=self._hash,
-            law=self.fleet.law.name,
+            agent=AgentIdentity(
+                vehicle_id=vehicle_id,
+                session=1,
+                fleet=self.fleet.name,
+                formation_hash=self._hash,
+                law=self.fleet.law.name,
+            ),
             phase=FlightPhase.FORMATION,
-            mode_name="OFFBOARD",
-            armed=True,
-            landed=LandedState.IN_AIR,
-            position_enu_m=self._position_enu_m(vehicle_id, time_s),
-            velocity_enu_m_s=velocity_enu_m_s,
-            state_age_s=0.012,
-            hover_thrust_norm=0.5,
-            disturbance_enu_m_s2=(0.4 * sin(time_s / 10.0), 0.2, 0.0),
-            role=Role.LEADER if leads else Role.FOLLOWER,
-            epoch=0,
-            prc=prcs[vehicle_id],
-            leader_beacon=LeaderBeacon(self._leader_id, 0, int(time_s * 1000.0), time_s),
-            leader_beacon_age_s=beacon_age_s,
-            neighbours=tuple(neighbours),
-            slot=FlownSlot(self._slots[vehicle_id]),
-            reference_enu_m=reference_enu_m if leads else None,
-            flags=(HealthFlag.BATTERY_LOW,) if battery < LOW_PERCENT else (),
+            autopilot=AutopilotReport(
+                mode_name="OFFBOARD", armed=True, landed=LandedState.IN_AIR, battery_percent=battery
+            ),
+            motion=MotionReport(
+                position_enu_m=self._position_enu_m(vehicle_id, time_s),
+                velocity_enu_m_s=velocity_enu_m_s,
+                state_age_s=0.012,
+                position_error=PositionError(0.3, 0.5),
+            ),
+            control=ControlReport(hover_thrust_norm=0.5, disturbance_enu_m_s2=(0.4 * sin(time_s / 10.0), 0.2, 0.0)),
+            leadership=LeadershipReport(
+                role=Role.LEADER if leads else Role.FOLLOWER,
+                epoch=0,
+                prc=prcs[vehicle_id],
+                leader_beacon=LeaderBeacon(self._leader_id, 0, int(time_s * 1000.0), time_s),
+                leader_beacon_age_s=beacon_age_s,
+            ),
+            neighbourhood=NeighbourReport(
+                neighbours=tuple(neighbours),
+                peers=tuple(i for i in self.vehicle_ids if i != vehicle_id),
+                weights=tuple(neighbour_weights([prcs[j] for j in neighbours], self._weighting)),
+                neighbour_ages_s=tuple(0.015 + 0.01 * sin(time_s + j) for j in neighbours),
+            ),
+            formation=FormationReport(
+                slot=FlownSlot(self._slots[vehicle_id]),
+                reference_enu_m=reference_enu_m if leads else None,
+                reference_s=time_s,
+                reference=HeldReference(),
+            ),
+            safety=SafetyReport(
+                flags=(HealthFlag.BATTERY_LOW,) if battery < LOW_PERCENT else (),
+                separation=SeparationReport(self._nearest_vehicle(vehicle_id, time_s)),
+            ),
             rejected={},
             last_event=Notice(Code.POSITION_RESET, f"position reset {events} followed") if events else None,
-            reference_s=time_s,
-            reference=HeldReference(),
-            peers=tuple(i for i in self.vehicle_ids if i != vehicle_id),
-            battery_percent=battery,
-            position_error=PositionError(0.3, 0.5),
-            separation=SeparationReport(self._nearest_vehicle(vehicle_id, time_s)),
-            weights=tuple(neighbour_weights([prcs[j] for j in neighbours], self._weighting)),
-            neighbour_ages_s=tuple(0.015 + 0.01 * sin(time_s + j) for j in neighbours),
         )
         return StatusReport(status, TIMING)
 

@@ -116,7 +116,7 @@ def test_a_vehicle_with_a_low_battery_lands(tmp_path: Path, percent: int, code: 
         flight.wait(lambda: any("formation -> " in event.text for event in flight.events(4)), 10.0)
         left_s = next(event.after_s for event in flight.events(4) if "formation -> " in event.text)
         row.measured.append(f"leaves formation {left_s - raised_s:.1f} s after the flag")
-        flight.wait(lambda: not flight.ground.newest[4].armed, 30.0)
+        flight.wait(lambda: not flight.ground.newest[4].autopilot.armed, 30.0)
         row.outcome = "it lands and disarms; the others fly on"
         flight.check_formation(OTHERS)
         flight.check(row)
@@ -157,7 +157,7 @@ def test_the_fleet_stays_on_the_ground_when_one_may_not_arm(tmp_path: Path, row:
         codes = sorted({event.code for i in IDS for event in flight.events(i)})
         row.measured.append(", ".join(f"`{code}`" for code in codes))
         row.outcome = f"phase {', '.join(sorted(flight.ground.phases(IDS)))}; disarmed"
-        assert not any(status.armed for status in flight.ground.newest.values())
+        assert not any(status.autopilot.armed for status in flight.ground.newest.values())
         assert flight.ground.phases(IDS) <= {FlightPhase.READY, FlightPhase.OBSERVE}, flight.logged()
 
 

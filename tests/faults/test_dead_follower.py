@@ -28,8 +28,8 @@ def test_the_gap_of_a_dead_follower_stays_open_also_after_the_fleet_moved(tmp_pa
         ground.wait(lambda: any(event.startswith("1: GAP_KEPT: vehicle 3 left") for event in ground.events))
         statuses = [ground.newest[i] for i in OTHERS]
         fleet.session.command(OTHERS, CommandName.REFERENCE, 1.0, reference_change(AWAY, statuses))
-        ground.wait(lambda: ground.newest[1].position_enu_m[0] > 7.5)
+        ground.wait(lambda: ground.newest[1].motion.position_enu_m[0] > 7.5)
         assert ground.phases(OTHERS) == {FlightPhase.FORMATION}
-        assert {ground.newest[i].slot.formation for i in OTHERS} == {0}
-        assert [round(ground.newest[i].slot.position_enu_m[0]) for i in OTHERS] == [0, -2, -6, -8]
+        assert {ground.newest[i].formation.slot.formation for i in OTHERS} == {0}
+        assert [round(ground.newest[i].formation.slot.position_enu_m[0]) for i in OTHERS] == [0, -2, -6, -8]
         ground.order(CommandName.LAND, FlightPhase.OBSERVE, OTHERS)

@@ -43,29 +43,36 @@ def test_a_successor_becomes_leader_when_the_leader_dies_on_the_figure_8(tmp_pat
     with fleet_in_formation(scenario, tmp_path) as fleet:
         ground = fleet.ground
         ground.listen(AT_FULL_SPEED_S)
-        assert ground.newest[1].role is Role.LEADER
+        assert ground.newest[1].leadership.role is Role.LEADER
 
         ground.received.clear()
         died_s = time.monotonic()
         fleet.kill("agent 1")
         ground.listen(4.0)
 
-        left = [(at_s, status) for at_s, status in ground.received if status.vehicle_id in FOLLOWERS]
+        left = [(at_s, status) for at_s, status in ground.received if status.agent.vehicle_id in FOLLOWERS]
         assert {status.phase for _, status in left} == {FlightPhase.FORMATION}
-        assert HealthFlag.LEADER_AWAITED in {flag for _, status in left for flag in status.flags}
+        assert HealthFlag.LEADER_AWAITED in {flag for _, status in left for flag in status.safety.flags}
         for vehicle_id in FOLLOWERS:
-            own = [(at_s - died_s, status) for at_s, status in left if status.vehicle_id == vehicle_id]
-            missed_s = [at_s for at_s, status in own if status.leader_beacon is None]
-            led_s = [at_s for at_s, status in own if status.leader_beacon and status.leader_beacon.leader_id == 2]
+            own = [(at_s - died_s, status) for at_s, status in left if status.agent.vehicle_id == vehicle_id]
+            missed_s = [at_s for at_s, status in own if status.leadership.leader_beacon is None]
+            led_s = [
+                at_s
+                for at_s, status in own
+                if status.leadership.leader_beacon and status.leadership.leader_beacon.leader_id == 2
+            ]
             print(f"vehicle {vehicle_id}: leader lost after {min(missed_s):.2f} s, follows 2 after {min(led_s):.2f} s")
-        assert [(ground.newest[i].role, ground.newest[i].epoch, ground.newest[i].prc) for i in FOLLOWERS] == [
+        assert [
+            (ground.newest[i].leadership.role, ground.newest[i].leadership.epoch, ground.newest[i].leadership.prc)
+            for i in FOLLOWERS
+        ] == [
             (Role.LEADER, 1, 1),
             (Role.FOLLOWER, 1, 2),
             (Role.FOLLOWER, 1, 3),
         ]
-        reference_enu_m = ground.newest[2].reference_enu_m
+        reference_enu_m = ground.newest[2].formation.reference_enu_m
         assert reference_enu_m is not None
         for status in (ground.newest[i] for i in FOLLOWERS):
-            wanted = [r + d for r, d in zip(reference_enu_m, status.slot.position_enu_m, strict=True)]
-            assert dist(status.position_enu_m, wanted) < 0.5
+            wanted = [r + d for r, d in zip(reference_enu_m, status.formation.slot.position_enu_m, strict=True)]
+            assert dist(status.motion.position_enu_m, wanted) < 0.5
         ground.order(CommandName.LAND, FlightPhase.OBSERVE, FOLLOWERS)

@@ -55,7 +55,7 @@ def test_a_successor_leads_when_the_agent_of_the_leader_is_killed(tmp_path: Path
         flight.form()
         flight.fault()
         flight.kill("agent 1")
-        flight.wait(lambda: flight.ground.newest[2].role is Role.LEADER, 5.0)
+        flight.wait(lambda: flight.ground.newest[2].leadership.role is Role.LEADER, 5.0)
         leads_s = time.monotonic() - flight.since.monotonic_s  # by its status, ten times a second
         row.measured.append(f"vehicle 2 leads after {leads_s:.1f} s")
         flight.ground.listen(EVENTS_S)

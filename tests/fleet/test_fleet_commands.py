@@ -142,28 +142,28 @@ def test_a_mission_from_one_terminal(ground: Ground) -> None:
 
     stranger = ground.answers("hold", operator="boris", code=1)
     assert {vehicle["code"] for vehicle in stranger.values()} == {"OTHER_HOLDS_COMMAND"}
-    ground.until(FlightPhase.FORMATION, lambda status: status.holder == "anna")
+    ground.until(FlightPhase.FORMATION, lambda status: status.command.holder == "anna")
 
     ground.fleet("leader", "2")
-    ground.until(FlightPhase.FORMATION, lambda status: status.epoch == 1)
+    ground.until(FlightPhase.FORMATION, lambda status: status.leadership.epoch == 1)
     assert "NOT_A_LEADER: " in ground.fleet("leader", "3", code=1)
     together = ground.answers("leader", "1", "3", code=1)  # 3 may not: no vehicle follows it
     assert {i: vehicle["answer"] for i, vehicle in together.items()} == {1: "refused", 3: "refused"}
-    ground.until(FlightPhase.FORMATION, lambda status: status.epoch == 1)
+    ground.until(FlightPhase.FORMATION, lambda status: status.leadership.epoch == 1)
 
     assert "expected at least separation_m, 1 m" in ground.fleet("formation", "line", "--spacing", "0.4", code=2)
     ground.fleet("formation", "line", "--spacing", "3", "--heading", "0")
-    ground.until(FlightPhase.FORMATION, lambda s: s.slot.formation == 1 and not s.slot.moves)
+    ground.until(FlightPhase.FORMATION, lambda s: s.formation.slot.formation == 1 and not s.formation.slot.moves)
     assert "come within 0.60 m" in ground.fleet("formation", "--scale", "0.2", code=2)
     ground.fleet("formation", "--scale", "1.2")
-    ground.until(FlightPhase.FORMATION, lambda s: s.slot.formation == 2 and not s.slot.moves)
+    ground.until(FlightPhase.FORMATION, lambda s: s.formation.slot.formation == 2 and not s.formation.slot.moves)
 
     outside = ground.fleet("reference", "point", "--at", "101", "0", "3", code=2)
     assert outside.startswith("companion fleet reference: reference.point_enu_m: puts vehicle ")
     answers = ground.answers("reference", "point", "--at", "1", "-1", "3")
     assert answers.keys() == {1, 2}  # those that may lead
     assert {vehicle["answer"] for vehicle in answers.values()} == {"accepted"}
-    ground.until(FlightPhase.FORMATION, lambda s: s.reference is None or s.reference.flown == 1)
+    ground.until(FlightPhase.FORMATION, lambda s: s.formation.reference is None or s.formation.reference.flown == 1)
 
     taken = ground.answers("take", operator="boris")
     assert {vehicle["code"] for vehicle in taken.values()} == {"COMMAND_TAKEN"}
@@ -173,12 +173,15 @@ def test_a_mission_from_one_terminal(ground: Ground) -> None:
     assert "formation 2, reference -, operator boris" in shown  # vehicle 3 may not lead
 
     ground.fleet("abort")  # by anna, who does not hold command
-    ground.until(FlightPhase.HOLD, lambda status: status.holder == "boris" and status.mode_name == "AUTO.LOITER")
+    ground.until(
+        FlightPhase.HOLD,
+        lambda status: status.command.holder == "boris" and status.autopilot.mode_name == "AUTO.LOITER",
+    )
     landing = ground.answers("land", "--no-wait", operator="boris")
     assert {(vehicle["answer"], vehicle["finished"]) for vehicle in landing.values()} == {("accepted", None)}
     aborted = ground.answers("abort", operator="carla")  # the landing continues
     assert {(vehicle["code"], vehicle["finished"]) for vehicle in aborted.values()} == {("LANDING_CONTINUES", True)}
-    ground.until(FlightPhase.OBSERVE, lambda status: not status.armed)
+    ground.until(FlightPhase.OBSERVE, lambda status: not status.autopilot.armed)
 
     log = (ground.folder / "agent_2.log").read_text()
     assert " of boris: refused, OTHER_HOLDS_COMMAND: " in log
@@ -212,15 +215,15 @@ def test_a_recorded_command_has_no_effect(ground: Ground) -> None:
                 time.sleep(0.02)
             raise AssertionError(f"no reply to {command}")
 
-        first = Command(CommandName.PREPARE, status.command_number + 1, "anna", status.session)
-        second = Command(CommandName.DISARM, status.command_number + 2, "anna", status.session)
+        first = Command(CommandName.PREPARE, status.command.command_number + 1, "anna", status.agent.session)
+        second = Command(CommandName.DISARM, status.command.command_number + 2, "anna", status.agent.session)
         answer = give(first)
         assert answer.accepted
         assert give(first) == answer  # its answer may have been lost
         assert give(second).accepted
         again = give(first)
         assert (again.accepted, again.code) == (False, Code.COMMAND_OLD)
-        earlier = give(Command(CommandName.PREPARE, second.number + 1, "anna", status.session ^ 1))
+        earlier = give(Command(CommandName.PREPARE, second.number + 1, "anna", status.agent.session ^ 1))
         assert (earlier.accepted, earlier.code) == (False, Code.WRONG_SESSION)
     ground.until(FlightPhase.OBSERVE)
 

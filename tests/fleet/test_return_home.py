@@ -89,9 +89,9 @@ def test_both_vehicles_return_home_also_without_an_agent(tmp_path: Path, make: s
                 assert time.monotonic() < end_s
                 time.sleep(0.5)
             wait(session, lambda status, wanted=phase: status.phase is wanted)  # type: ignore[misc]
-        wait(session, lambda status: status.position_enu_m[1] > 4.0)
+        wait(session, lambda status: status.motion.position_enu_m[1] > 4.0)
         assert command("return", "--no-wait") == 0
-        wait(session, lambda status: status.phase is FlightPhase.RETURN and status.mode_name.endswith("RTL"))
+        wait(session, lambda status: status.phase is FlightPhase.RETURN and status.autopilot.mode_name.endswith("RTL"))
         os.kill(fleet.pid_of("agent 1"), signal.SIGKILL)
 
         end_s = time.monotonic() + 60.0
@@ -102,4 +102,4 @@ def test_both_vehicles_return_home_also_without_an_agent(tmp_path: Path, make: s
             (x, y, z), _ = true_end(tmp_path, vehicle_id)
             assert dist((x, y), start) < 0.7
             assert z < 0.1
-        wait(session, lambda status: status.phase is FlightPhase.OBSERVE and not status.armed, [2])
+        wait(session, lambda status: status.phase is FlightPhase.OBSERVE and not status.autopilot.armed, [2])

@@ -17,7 +17,17 @@ from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender, TargetSample, TrafficSample
-from companion.types.status import Status
+from companion.types.status import (
+    AgentIdentity,
+    AutopilotReport,
+    ControlReport,
+    FormationReport,
+    LeadershipReport,
+    MotionReport,
+    NeighbourReport,
+    SafetyReport,
+    Status,
+)
 from companion.wire.messages import (
     StatusReport,
     WireError,
@@ -58,11 +68,20 @@ PACKET = PeerPacket(
     rft=((1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (0.0, 0.1, 0.0)),
 )
 STATUS = Status(
-    3, 1, "platoon", 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, (1.0, 2.0, 3.0),
-    (0.0, 0.0, 0.0), 0.02, 0.49, (1.0, -2.0, 0.0), Role.FOLLOWER, 7, 2, LeaderBeacon(1, 2, 3), 0.1, (2, 4),
-    FlownSlot((-3.0, 0.0, 0.0)), (0.0, 1.0, 2.0), (HealthFlag.OUTSIDE_FENCE,), {"PEER_LATE 2": 3},
-    Notice(Code.PHASE_CHANGED, "takeoff -> hold"),
-)  # fmt: skip
+    agent=AgentIdentity(vehicle_id=3, session=1, fleet="platoon", formation_hash=5, law="weighted"),
+    phase=FlightPhase.HOLD,
+    autopilot=AutopilotReport(mode_name="AUTO.LOITER", armed=True, landed=LandedState.IN_AIR),
+    motion=MotionReport(position_enu_m=(1.0, 2.0, 3.0), velocity_enu_m_s=(0.0, 0.0, 0.0), state_age_s=0.02),
+    control=ControlReport(hover_thrust_norm=0.49, disturbance_enu_m_s2=(1.0, -2.0, 0.0)),
+    leadership=LeadershipReport(
+        role=Role.FOLLOWER, epoch=7, prc=2, leader_beacon=LeaderBeacon(1, 2, 3), leader_beacon_age_s=0.1
+    ),
+    neighbourhood=NeighbourReport(neighbours=(2, 4)),
+    formation=FormationReport(slot=FlownSlot((-3.0, 0.0, 0.0)), reference_enu_m=(0.0, 1.0, 2.0)),
+    safety=SafetyReport(flags=(HealthFlag.OUTSIDE_FENCE,)),
+    rejected={"PEER_LATE 2": 3},
+    last_event=Notice(Code.PHASE_CHANGED, "takeoff -> hold"),
+)
 COMMANDS = (
     Command(CommandName.HOLD, 9, "anna@ground", 7),
     Command(CommandName.LEAD, 9, "anna@ground", 7, Lead((2,), 8)),

@@ -115,16 +115,16 @@ def _locks(fleet: HostileFleet) -> list[str]:
     """What does not work SETTLE_S after the end of the hostile stream."""
     _wait(fleet, SETTLE_S)
     found = [
-        f"lock: vehicle {i} does not use the packets of {sorted(fleet.agents.keys() - {i} - set(status.peers))}"
+        f"lock: vehicle {i} does not use the packets of {sorted(fleet.agents.keys() - {i} - set(status.neighbourhood.peers))}"
         for i, status in fleet.statuses.items()
-        if set(status.peers) != fleet.packets.keys() - {i}
+        if set(status.neighbourhood.peers) != fleet.packets.keys() - {i}
     ]
     found += _refused(fleet, CommandName.TAKE, fleet.command(CommandName.TAKE))
     _wait_for_landings(fleet)
     found += _taken_back(fleet)
     _wait_for_landings(fleet)  # hold without a leader ends in a landing after `land_after_s`
     statuses = list(fleet.statuses.values())
-    lead = Lead((1,), next_epoch(status.epoch for status in statuses))
+    lead = Lead((1,), next_epoch(status.leadership.epoch for status in statuses))
     found += _refused(fleet, CommandName.LEAD, fleet.command(CommandName.LEAD, lead))
     _wait(fleet, 1.0)
     found += _without_beacon(fleet)
@@ -141,11 +141,11 @@ def _without_beacon(fleet: HostileFleet) -> list[str]:
     """Vehicles that do not pass on the beacon of a neighbour. One that does not know its position sends no packet."""
     sends = [i for i, agent in fleet.agents.items() if agent.phase in COOPERATING and i in fleet.packets]
     flying = {i: status for i, status in fleet.statuses.items() if i in sends}
-    have = {i for i, status in flying.items() if status.leader_beacon is not None}
+    have = {i for i, status in flying.items() if status.leadership.leader_beacon is not None}
     return [
-        f"lock: vehicle {i} has no leader beacon, its neighbours {sorted(have & set(status.neighbours))} have one"
+        f"lock: vehicle {i} has no leader beacon, its neighbours {sorted(have & set(status.neighbourhood.neighbours))} have one"
         for i, status in flying.items()
-        if i not in have and have & set(status.neighbours)
+        if i not in have and have & set(status.neighbourhood.neighbours)
     ]
 
 

@@ -144,9 +144,9 @@ class HostileFleet:
     def give(self, vehicle_id: int, name: CommandName, content: Content | None = None) -> None:
         """A command of the true operator, for the next tick."""
         status = self.statuses[vehicle_id]
-        number = next_number(self._numbers.get(vehicle_id, 0), status.command_number)
+        number = next_number(self._numbers.get(vehicle_id, 0), status.command.command_number)
         self._numbers[vehicle_id] = number
-        self._given[vehicle_id] = Command(name, number, OPERATOR, status.session, content)
+        self._given[vehicle_id] = Command(name, number, OPERATOR, status.agent.session, content)
 
     def command(self, name: CommandName, content: Content | None = None) -> dict[int, CommandReply]:
         """The replies to a command of the true operator to every vehicle. Raises InvariantError where one does not answer."""

@@ -104,7 +104,7 @@ class HostileStream:
     def _as_leader(self, packet: PeerPacket) -> PeerPacket:
         """The packet of a leader in formation that passes on a change."""
         rng, status = self._rng, self._fleet.statuses.get(1)
-        epoch, reference_s = (status.epoch, status.reference_s) if status else (0, 0.0)
+        epoch, reference_s = (status.leadership.epoch, status.formation.reference_s) if status else (0, 0.0)
         beacon = LeaderBeacon(
             packet.sender.vehicle_id,
             epoch + rng.choice((0, 0, 1, 2)),
@@ -127,7 +127,7 @@ class HostileStream:
 
     def _change(self) -> FormationChange:
         rng, status = self._rng, self._fleet.statuses.get(1)
-        number, reference_s = (status.slot.waiting, status.reference_s) if status else (0, 0.0)
+        number, reference_s = (status.formation.slot.waiting, status.formation.reference_s) if status else (0, 0.0)
         scale = rng.choice((0.5, 1.0, 1.2, 2.0))
         slots = tuple((m.id, (m.slot_enu_m[0] * scale, 0.0, 0.0)) for m in self._fleet.config.vehicles)
         absent = rng.choice(((), (), (3,), tuple(self._fleet.agents)))
@@ -150,16 +150,16 @@ class HostileStream:
             return None
         content: Any = None
         if name in CONTENT:
-            held = status.reference.waiting if status.reference else 0
+            held = status.formation.reference.waiting if status.formation.reference else 0
             described = rng.choice(DESCRIBED)
             content = {
-                CommandName.LEAD: Lead((rng.choice(tuple(self._fleet.agents)),), status.epoch + 1),
+                CommandName.LEAD: Lead((rng.choice(tuple(self._fleet.agents)),), status.leadership.epoch + 1),
                 CommandName.FORMATION: self._change(),
-                CommandName.REFERENCE: ReferenceChange(held + 1, described, status.reference_s + 1.5),
+                CommandName.REFERENCE: ReferenceChange(held + 1, described, status.formation.reference_s + 1.5),
             }[name]
             content = mutated(rng, content, rng.choice((0, 1, 2)))
         operator = rng.choice((OPERATOR, "mallory@hill"))
-        command = Command(name, status.command_number + 1 + ahead, operator, status.session, content)
+        command = Command(name, status.command.command_number + 1 + ahead, operator, status.agent.session, content)
         if rng.random() < 0.3:
             command = replace(command, number=other(rng, command.number))
         received: Command | None = self._through("command", encode, decode_command, command)

@@ -24,8 +24,22 @@ from companion.types.flight import RULES, FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference
 from companion.types.notices import Code, Notice
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
-from companion.types.status import NearestVehicle, SeparationReport, Status
+from companion.types.status import (
+    AgentIdentity,
+    AutopilotReport,
+    CommandReport,
+    ControlReport,
+    FormationReport,
+    LeadershipReport,
+    MotionReport,
+    NearestVehicle,
+    NeighbourReport,
+    SafetyReport,
+    SeparationReport,
+    Status,
+)
 from companion.types.tick import Outbox
+from companion.types.values import flat_fields
 from companion.wire.messages import Percentiles, StatusReport, Timing
 from companion.wire.rounding import round_outbox
 from processes import free_port
@@ -38,41 +52,43 @@ from tests.bench.monitor_load import SteadyFleet, steady_fleet
 
 TIMING = Timing(50.0, 3000, 0, Percentiles(180.0, 950.0, 4000.0), Percentiles(600.0, 2100.0, 5000.0), 14.0, 49.0)
 STATUS = Status(
-    vehicle_id=1,
-    session=1,
-    fleet="platoon",
-    formation_hash=5,
-    law="weighted",
+    agent=AgentIdentity(vehicle_id=1, session=1, fleet="platoon", formation_hash=5, law="weighted"),
     phase=FlightPhase.FORMATION,
-    mode_name="OFFBOARD",
-    armed=True,
-    landed=LandedState.IN_AIR,
-    position_enu_m=(0.0, 0.0, 2.5),
-    velocity_enu_m_s=(1.0, 0.0, 0.0),
-    state_age_s=0.02,
-    hover_thrust_norm=0.5,
-    disturbance_enu_m_s2=(0.3, 0.4, 0.0),
-    role=Role.FOLLOWER,
-    epoch=0,
-    prc=2,
-    leader_beacon=None,
-    leader_beacon_age_s=None,
-    neighbours=(1,),
-    slot=FlownSlot((0.0, 0.0, 0.0)),
-    reference_enu_m=None,
-    flags=(),
+    autopilot=AutopilotReport(mode_name="OFFBOARD", armed=True, landed=LandedState.IN_AIR, battery_percent=87.0),
+    motion=MotionReport(
+        position_enu_m=(0.0, 0.0, 2.5),
+        velocity_enu_m_s=(1.0, 0.0, 0.0),
+        state_age_s=0.02,
+        position_error=PositionError(0.4, 0.7),
+    ),
+    control=ControlReport(hover_thrust_norm=0.5, disturbance_enu_m_s2=(0.3, 0.4, 0.0)),
+    leadership=LeadershipReport(role=Role.FOLLOWER, epoch=0, prc=2, leader_beacon=None, leader_beacon_age_s=None),
+    neighbourhood=NeighbourReport(neighbours=(1,)),
+    formation=FormationReport(slot=FlownSlot((0.0, 0.0, 0.0)), reference_enu_m=None),
+    safety=SafetyReport(flags=()),
     rejected={},
     last_event=Notice(Code.PHASE_CHANGED, "engage -> formation"),
-    holder="anna@ground",
-    battery_percent=87.0,
-    position_error=PositionError(0.4, 0.7),
+    command=CommandReport(holder="anna@ground"),
 )
+
+
+def status_with(status: Status, **changes: object) -> Status:
+    """The status with these values, named without the part that they stand in."""
+    parts: dict[str, dict[str, object]] = {}
+    for path, found in flat_fields(Status).items():
+        if found.name in changes:
+            parts.setdefault(path.rpartition(".")[0], {})[found.name] = changes.pop(found.name)
+    assert not changes, changes
+    whole = parts.pop("", {})
+    return replace(
+        status, **whole, **{name: replace(getattr(status, name), **values) for name, values in parts.items()}
+    )
 
 
 def reported(vehicle_id: int, **changes: object) -> Status:
     """A follower in formation, 1.5 m behind the vehicle before it, without an error."""
     behind_enu_m = (-1.5 * (vehicle_id - 1), 0.0, 0.0)
-    status = replace(
+    status = status_with(
         STATUS,
         vehicle_id=vehicle_id,
         position_enu_m=(behind_enu_m[0], 0.0, 2.5),
@@ -80,7 +96,7 @@ def reported(vehicle_id: int, **changes: object) -> Status:
         prc=vehicle_id,
         peers=(1, 2),
     )
-    return replace(status, **changes)  # type: ignore[arg-type]
+    return status_with(status, **changes)
 
 
 def leader(**changes: object) -> Status:
@@ -93,7 +109,7 @@ def rows_of(*statuses: Status, silent: tuple[int, ...] = (), now_s: float = 100.
     """The rows 40 ms after the reports; those of `silent` vehicles came 4.2 s before."""
     state = FleetState()
     for status in statuses:
-        received_s = 95.84 if status.vehicle_id in silent else 100.0
+        received_s = 95.84 if status.agent.vehicle_id in silent else 100.0
         state = fold(state, StatusReport(status, TIMING), received_s)
     return vehicles_at(state, now_s)
 
@@ -139,29 +155,21 @@ DOING_S = 0.05  # duration of an action, times the id of the vehicle
 def directed_status(vehicle_id: int) -> Status:
     leads = vehicle_id == 1
     return Status(
-        vehicle_id=vehicle_id,
-        session=1,
-        fleet="pair",
-        formation_hash=1,
-        law="weighted",
+        agent=AgentIdentity(vehicle_id=vehicle_id, session=1, fleet="pair", formation_hash=1, law="weighted"),
         phase=P.OBSERVE,
-        mode_name="HOLD",
-        armed=False,
-        landed=LandedState.ON_GROUND,
-        position_enu_m=(0.0, 0.0, 0.0),
-        velocity_enu_m_s=(0.0, 0.0, 0.0),
-        state_age_s=0.01,
-        hover_thrust_norm=0.5,
-        disturbance_enu_m_s2=(0.0, 0.0, 0.0),
-        role=Role.LEADER if leads else Role.FOLLOWER,
-        epoch=0,
-        prc=vehicle_id,
-        leader_beacon=None,
-        leader_beacon_age_s=None,
-        neighbours=(),
-        slot=FlownSlot((0.0, 0.0, 0.0)),
-        reference_enu_m=(0.0, 0.0, 0.0) if leads else None,
-        flags=(),
+        autopilot=AutopilotReport(mode_name="HOLD", armed=False, landed=LandedState.ON_GROUND),
+        motion=MotionReport(position_enu_m=(0.0, 0.0, 0.0), velocity_enu_m_s=(0.0, 0.0, 0.0), state_age_s=0.01),
+        control=ControlReport(hover_thrust_norm=0.5, disturbance_enu_m_s2=(0.0, 0.0, 0.0)),
+        leadership=LeadershipReport(
+            role=Role.LEADER if leads else Role.FOLLOWER,
+            epoch=0,
+            prc=vehicle_id,
+            leader_beacon=None,
+            leader_beacon_age_s=None,
+        ),
+        neighbourhood=NeighbourReport(neighbours=()),
+        formation=FormationReport(slot=FlownSlot((0.0, 0.0, 0.0)), reference_enu_m=(0.0, 0.0, 0.0) if leads else None),
+        safety=SafetyReport(flags=()),
         rejected={},
         last_event=None,
     )
@@ -229,7 +237,7 @@ class DirectedVehicles:
         reasons = self.refuses.get((vehicle_id, name))
         if reasons:
             return CommandReply(vehicle_id, 1, False, Code.WRONG_PHASE, reasons.pop(0), "anna@ground")
-        self.statuses[vehicle_id] = replace(self.statuses[vehicle_id], phase=RULES[name].via)
+        self.statuses[vehicle_id] = status_with(self.statuses[vehicle_id], phase=RULES[name].via)
         self._due[vehicle_id] = (time.monotonic() + DOING_S * vehicle_id, name)
         return CommandReply(vehicle_id, 1, True, Code.PHASE_CHANGED, "yes", "anna@ground")
 
@@ -240,17 +248,21 @@ class DirectedVehicles:
                 self._finish(vehicle_id, name)
         sent = [round_outbox(Outbox(status=status)).status for status in self.statuses.values()]
         return [
-            StatusReport(status, DIRECTED_TIMING) for status in sent if status and status.vehicle_id not in self.mute
+            StatusReport(status, DIRECTED_TIMING)
+            for status in sent
+            if status and status.agent.vehicle_id not in self.mute
         ]
 
     def _finish(self, vehicle_id: int, name: CommandName) -> None:
         before = self.statuses[vehicle_id]
         if event := self.falls.get((vehicle_id, name)):
             fallen_to = P.OBSERVE if "-> observe" in event else RULES[name].on_failure
-            self.statuses[vehicle_id] = replace(before, phase=fallen_to, last_event=Notice(Code.PHASE_CHANGED, event))
+            self.statuses[vehicle_id] = status_with(
+                before, phase=fallen_to, last_event=Notice(Code.PHASE_CHANGED, event)
+            )
             return
         up = name in (C.TAKEOFF, C.FORM, C.HOLD)
-        self.statuses[vehicle_id] = replace(
+        self.statuses[vehicle_id] = status_with(
             before,
             phase=RULES[name].to,
             armed=name not in (C.PREPARE, C.LAND, C.RETURN, C.DISARM),
@@ -258,7 +270,7 @@ class DirectedVehicles:
         )
 
     def change(self, vehicle_id: int, **what: object) -> None:
-        self.statuses[vehicle_id] = replace(self.statuses[vehicle_id], **what)  # type: ignore[arg-type]
+        self.statuses[vehicle_id] = status_with(self.statuses[vehicle_id], **what)
 
 
 class DirectedFlight:

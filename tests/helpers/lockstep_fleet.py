@@ -84,9 +84,9 @@ class CommandedFlight:
     def go_on(self, seconds: float) -> None:
         self.lockstep.sleep(seconds)
         for report in self.lockstep.drain():
-            self.newest[report.status.vehicle_id] = report.status
+            self.newest[report.status.agent.vehicle_id] = report.status
             if report.status.last_event:
-                self.events.append((report.status.vehicle_id, report.status.last_event.text))
+                self.events.append((report.status.agent.vehicle_id, report.status.last_event.text))
 
     def separate(self, *ids: int, for_s: float, lost: Literal["both", "received", "sent"] = "both") -> None:
         """From now on packets between these vehicles and all others are lost, for this time."""
@@ -139,11 +139,14 @@ class CommandedFlight:
 
     def errors_m(self) -> dict[int, float]:
         """Distance of each vehicle in formation to its slot about the leader's reference."""
-        leader = next(s for s in self.newest.values() if s.reference_enu_m is not None and s.phase is FORMATION)
-        assert leader.reference_enu_m is not None
+        leader = next(
+            s for s in self.newest.values() if s.formation.reference_enu_m is not None and s.phase is FORMATION
+        )
+        assert leader.formation.reference_enu_m is not None
         return {
             i: dist(
-                s.position_enu_m, [r + d for r, d in zip(leader.reference_enu_m, s.slot.position_enu_m, strict=True)]
+                s.motion.position_enu_m,
+                [r + d for r, d in zip(leader.formation.reference_enu_m, s.formation.slot.position_enu_m, strict=True)],
             )
             for i, s in self.newest.items()
             if s.phase is FORMATION
@@ -266,10 +269,10 @@ class EnteringFleet:
     def go_on(self, seconds: float) -> None:
         self.lockstep.sleep(seconds)
         for report in self.lockstep.drain():
-            self.newest[report.status.vehicle_id] = report.status
+            self.newest[report.status.agent.vehicle_id] = report.status
             event = report.status.last_event
-            if event and (report.status.vehicle_id, event.text) not in self.events:
-                self.events.append((report.status.vehicle_id, event.text))
+            if event and (report.status.agent.vehicle_id, event.text) not in self.events:
+                self.events.append((report.status.agent.vehicle_id, event.text))
 
     def give(self, name: CommandName, *ids: int, content: Content | None = None) -> dict[int, CommandReply | None]:
         answers = self.lockstep.ask(ids or self.ids, name, 1.0, content)
@@ -302,11 +305,11 @@ class EnteringFleet:
 
     def errors_m(self) -> dict[int, float]:
         """Distance of each vehicle from its slot about the leader's reference, as reported."""
-        leader = next(s for s in self.newest.values() if s.reference_enu_m is not None)
-        at = leader.reference_enu_m
+        leader = next(s for s in self.newest.values() if s.formation.reference_enu_m is not None)
+        at = leader.formation.reference_enu_m
         assert at is not None
         return {
-            i: float(np.linalg.norm(np.array(s.position_enu_m) - at - np.array(s.slot.position_enu_m)))
+            i: float(np.linalg.norm(np.array(s.motion.position_enu_m) - at - np.array(s.formation.slot.position_enu_m)))
             for i, s in self.newest.items()
         }
 

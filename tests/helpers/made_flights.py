@@ -34,7 +34,17 @@ from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
-from companion.types.status import Status
+from companion.types.status import (
+    AgentIdentity,
+    AutopilotReport,
+    ControlReport,
+    FormationReport,
+    LeadershipReport,
+    MotionReport,
+    NeighbourReport,
+    SafetyReport,
+    Status,
+)
 from companion.types.tick import Inbox
 from companion.types.values import Vector3
 from companion.wire.messages import Percentiles, StatusReport, Timing
@@ -246,34 +256,31 @@ def _decision(fleet: FleetConfig, vehicle_id: int, time_s: float, seconds: float
 def _status(fleet: FleetConfig, record: DecisionRecord, vehicle_id: int, time_s: float, seconds: float) -> Status:
     in_air = TAKEOFF_S + 0.5 <= time_s < seconds - DOWN_BEFORE_END_S
     return Status(
-        vehicle_id=vehicle_id,
-        session=1,
-        fleet=fleet.name,
-        formation_hash=1,
-        law="cooperative",
+        agent=AgentIdentity(vehicle_id=vehicle_id, session=1, fleet=fleet.name, formation_hash=1, law="cooperative"),
         phase=FlightPhase(record.phase),
-        mode_name="OFFBOARD" if record.phase == FlightPhase.FORMATION else "AUTO.LOITER",
-        armed=2.0 <= time_s < seconds - DOWN_BEFORE_END_S + 0.5,
-        landed=LandedState.IN_AIR if in_air else LandedState.ON_GROUND,
-        position_enu_m=record.position_enu_m,
-        velocity_enu_m_s=record.velocity_enu_m_s,
-        state_age_s=0.01,
-        hover_thrust_norm=0.5,
-        disturbance_enu_m_s2=(0.2, -0.1, 0.0),
-        role=Role(record.role),
-        epoch=0,
-        prc=vehicle_id,
-        leader_beacon=None,
-        leader_beacon_age_s=None,
-        neighbours=record.neighbours,
-        slot=FlownSlot(record.slot_offset_enu_m),
-        reference_enu_m=record.reference_enu_m,
-        flags=tuple(HealthFlag(flag) for flag in record.flags),
+        autopilot=AutopilotReport(
+            mode_name="OFFBOARD" if record.phase == FlightPhase.FORMATION else "AUTO.LOITER",
+            armed=2.0 <= time_s < seconds - DOWN_BEFORE_END_S + 0.5,
+            landed=LandedState.IN_AIR if in_air else LandedState.ON_GROUND,
+            battery_percent=record.battery_percent,
+        ),
+        motion=MotionReport(
+            position_enu_m=record.position_enu_m,
+            velocity_enu_m_s=record.velocity_enu_m_s,
+            state_age_s=0.01,
+            position_error=PositionError(0.3, 0.5),
+        ),
+        control=ControlReport(hover_thrust_norm=0.5, disturbance_enu_m_s2=(0.2, -0.1, 0.0)),
+        leadership=LeadershipReport(
+            role=Role(record.role), epoch=0, prc=vehicle_id, leader_beacon=None, leader_beacon_age_s=None
+        ),
+        neighbourhood=NeighbourReport(
+            neighbours=record.neighbours, peers=tuple(member.id for member in fleet.vehicles if member.id != vehicle_id)
+        ),
+        formation=FormationReport(slot=FlownSlot(record.slot_offset_enu_m), reference_enu_m=record.reference_enu_m),
+        safety=SafetyReport(flags=tuple(HealthFlag(flag) for flag in record.flags)),
         rejected={},
         last_event=None,
-        peers=tuple(member.id for member in fleet.vehicles if member.id != vehicle_id),
-        battery_percent=record.battery_percent,
-        position_error=PositionError(0.3, 0.5),
     )
 
 

@@ -365,9 +365,9 @@ class Ground:
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s and not enough():
             for report in self._session.drain():
-                self.newest[report.status.vehicle_id] = report.status
+                self.newest[report.status.agent.vehicle_id] = report.status
                 self.received.append((time.monotonic(), report.status))
-                self.events.add(f"{report.status.vehicle_id}: {report.status.last_event}")
+                self.events.add(f"{report.status.agent.vehicle_id}: {report.status.last_event}")
             time.sleep(0.02)
 
     def wait(

@@ -213,7 +213,7 @@ class Undisturbed:
 def false_messages(fleet: SecuredFleet, operators: tuple[str, ...]) -> Iterator[tuple[str, bytes]]:
     """Packets that put every vehicle 30 m away, and `land` and `abort` to all, under the keys of all."""
     name, formation_hash = fleet.scenario.fleet.name, next(iter(fleet.ground.newest.values())).formation_hash
-    sessions = {i: status.session for i, status in fleet.ground.newest.items()}
+    sessions = {i: status.agent.session for i, status in fleet.ground.newest.items()}
     packet = with_fields(AT_REST, formation_hash=formation_hash, position_enu_m=FAR_M)
     for number in count(1):
         for i in IDS:
@@ -293,7 +293,7 @@ def _gaps_s(fleet: SecuredFleet) -> float:
     """Between two reports of one vehicle, which come every 0.1 s."""
     longest_s = 0.0
     for i in IDS:
-        times = [at_s for at_s, status in fleet.ground.received if status.vehicle_id == i]
+        times = [at_s for at_s, status in fleet.ground.received if status.agent.vehicle_id == i]
         longest_s = max([longest_s, *(b - a for a, b in pairwise(times))])
     return longest_s
 

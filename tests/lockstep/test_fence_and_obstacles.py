@@ -87,7 +87,7 @@ class Flight:
 
     def reference_enu_m(self) -> Vector3:
         """The reference in the leader's newest report."""
-        reference_enu_m = self.fleet.newest[1].reference_enu_m
+        reference_enu_m = self.fleet.newest[1].formation.reference_enu_m
         assert reference_enu_m is not None
         return reference_enu_m
 

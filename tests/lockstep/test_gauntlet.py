@@ -191,8 +191,8 @@ def test_a_partition_cuts_the_network_and_heals() -> None:
     peers = {}
     for until_s in (2.9, 3.9, 4.9):
         lockstep.sleep(until_s - lockstep.now_s())
-        newest = {report.status.vehicle_id: report.status for report in lockstep.drain()}
-        peers[until_s] = {i: status.peers for i, status in newest.items()}
+        newest = {report.status.agent.vehicle_id: report.status for report in lockstep.drain()}
+        peers[until_s] = {i: status.neighbourhood.peers for i, status in newest.items()}
     assert peers[2.9] == peers[4.9] == {i: tuple(j for j in range(1, 6) if j != i) for i in range(1, 6)}
     assert peers[3.9] == {1: (2, 3), 2: (1, 3), 3: (1, 2), 4: (5,), 5: (4,)}
 
@@ -200,9 +200,9 @@ def test_a_partition_cuts_the_network_and_heals() -> None:
 def test_an_agent_that_ends_reports_nothing() -> None:
     lockstep = Lockstep(leaving("agent_ends=[{vehicle: 2, at_s: 1}]", f"timeline=[{STEPS}]"))
     lockstep.sleep(1.0)
-    assert 2 in {report.status.vehicle_id for report in lockstep.drain()}
+    assert 2 in {report.status.agent.vehicle_id for report in lockstep.drain()}
     lockstep.sleep(1.0)
-    assert {report.status.vehicle_id for report in lockstep.drain()} == {1, 3, 4, 5}
+    assert {report.status.agent.vehicle_id for report in lockstep.drain()} == {1, 3, 4, 5}
 
 
 def test_a_restarted_agent_has_a_new_session_and_nothing_that_came_before() -> None:
@@ -211,8 +211,8 @@ def test_a_restarted_agent_has_a_new_session_and_nothing_that_came_before() -> N
     received = {}
     for at_s in (1.0, 1.5, 2.0, 2.5, 3.0):
         lockstep.sleep(at_s - lockstep.now_s())
-        statuses = [report.status for report in lockstep.drain() if report.status.vehicle_id == 2]
-        received[at_s] = {status.session for status in statuses}
+        statuses = [report.status for report in lockstep.drain() if report.status.agent.vehicle_id == 2]
+        received[at_s] = {status.agent.session for status in statuses}
         if at_s == 1.5:
             answer = lockstep.ask([2], CommandName.PREPARE, 0.01)[2]  # to the session that has ended
             assert answer is None
@@ -221,8 +221,8 @@ def test_a_restarted_agent_has_a_new_session_and_nothing_that_came_before() -> N
     answer = lockstep.ask([2], CommandName.PREPARE, 0.5)[2]
     assert answer is not None
     assert answer.reply.accepted
-    statuses = [report.status for report in lockstep.drain() if report.status.vehicle_id == 2]
-    assert statuses[-1].peers == (1, 3, 4, 5)
+    statuses = [report.status for report in lockstep.drain() if report.status.agent.vehicle_id == 2]
+    assert statuses[-1].neighbourhood.peers == (1, 3, 4, 5)
     assert statuses[-1].rejected == {}  # packets of the time without a process would be refused as late
 
 

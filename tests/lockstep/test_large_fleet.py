@@ -114,9 +114,9 @@ def test_a_lost_leader_is_replaced_as_quickly_and_all_are_received_at_50_hz_mean
     flight.go_on(14.0)
     flight.separate(1, for_s=60.0)
     flight.go_on(0.5)
-    assert all(not flight.distant[i] or HealthFlag.LEADER_AWAITED not in flight.newest[i].flags for i in IDS[1:])
+    assert all(not flight.distant[i] or HealthFlag.LEADER_AWAITED not in flight.newest[i].safety.flags for i in IDS[1:])
     flight.go_on(1.5)
-    assert flight.newest[2].role is Role.LEADER
+    assert flight.newest[2].leadership.role is Role.LEADER
     assert all(flight.newest[i].phase is P.FORMATION for i in IDS[1:])
 
 
@@ -124,5 +124,5 @@ def test_packets_that_are_lost_make_no_vehicle_absent() -> None:
     flight = LargeFleet(EDGES, 1, "links.peer_loss=0.1", "links.peer_delay_s=0.05", "links.peer_jitter_s=0.1")
     flight.go_on(30.0)
     assert flight.distant[6] == {3, 4}
-    assert all(not status.flags for status in flight.newest.values())
+    assert all(not status.safety.flags for status in flight.newest.values())
     assert max(flight.errors_m().values()) < 3.0

@@ -91,11 +91,11 @@ def test_prcs_settle_at_once_and_the_matrices_equal_those_of_the_paper() -> None
     for number, (from_s, to_s) in enumerate(pairwise(borders_s)):
         leader = 1 + number % 2
         sent = [s for at_s, s in flight.watch.reports if from_s + SETTLED_AFTER_S < at_s < to_s - 0.02]
-        graph = {s.vehicle_id: s.neighbours for s in sent}
-        assert all(graph[s.vehicle_id] == s.neighbours for s in sent)
+        graph = {s.agent.vehicle_id: s.neighbourhood.neighbours for s in sent}
+        assert all(graph[s.agent.vehicle_id] == s.neighbourhood.neighbours for s in sent)
         prcs = settled_prcs(graph, [leader])
-        assert all(s.prc == prcs[s.vehicle_id] for s in sent)
-        assert {s.vehicle_id for s in sent if s.role == "leader"} == {leader}
+        assert all(s.leadership.prc == prcs[s.agent.vehicle_id] for s in sent)
+        assert {s.agent.vehicle_id for s in sent if s.leadership.role == "leader"} == {leader}
         assert interaction_matrix(graph, [leader], weighted()).tolist() == PAPER_MATRICES[leader]
 
 
@@ -103,17 +103,17 @@ def test_the_reference_continues_over_all_leader_changes() -> None:
     """The reference of each leader equals that of the metrics, without a jump in any tick."""
     flight, reference = flown(), reference_of(load_scenario(RING))
     for at_s, status in flight.watch.reports:
-        if status.reference_enu_m is not None and flight.formation.start_s < at_s < flight.formation.end_s:
+        if status.formation.reference_enu_m is not None and flight.formation.start_s < at_s < flight.formation.end_s:
             true_enu_m = reference(at_s - flight.formation.reference_start_s).position_enu_m
-            assert dist(status.reference_enu_m, true_enu_m) < 0.03
-            assert status.leader_beacon is not None
-            lost_s = at_s - flight.formation.reference_start_s - status.leader_beacon.reference_s
+            assert dist(status.formation.reference_enu_m, true_enu_m) < 0.03
+            assert status.leadership.leader_beacon is not None
+            lost_s = at_s - flight.formation.reference_start_s - status.leadership.leader_beacon.reference_s
             assert abs(lost_s) < 0.05  # delays of packets until their tick do not accumulate over the changes
 
 
 def test_followers_report_no_reference() -> None:
     for _, status in flown().watch.reports:
-        assert (status.reference_enu_m is None) is (status.role == "follower")
+        assert (status.formation.reference_enu_m is None) is (status.leadership.role == "follower")
 
 
 @pytest.mark.parametrize(("law", "most_m"), [("weighted", 0.6), ("cooperative", 0.1)])
@@ -181,19 +181,21 @@ def test_an_agent_restarted_in_flight_does_not_become_leader_again() -> None:
     assert answer.reply.accepted
     lockstep.sleep(2.0)
     sent = [report.status for report in lockstep.drain()]
-    newest = {status.vehicle_id: status for status in sent}
+    newest = {status.agent.vehicle_id: status for status in sent}
     assert newest[1].phase is FlightPhase.HOLD  # it is a neighbour again
-    assert newest[1].neighbours == (2, 4)
-    assert {i: (s.role, s.epoch, s.prc) for i, s in newest.items()} == {
+    assert newest[1].neighbourhood.neighbours == (2, 4)
+    assert {i: (s.leadership.role, s.leadership.epoch, s.leadership.prc) for i, s in newest.items()} == {
         1: (Role.FOLLOWER, 1, 2),
         2: (Role.LEADER, 1, 1),
         3: (Role.FOLLOWER, 1, 2),
         4: (Role.FOLLOWER, 1, 3),
     }
-    as_leader = [s for s in sent if s.vehicle_id == 1 and s.session == 2 and s.role is Role.LEADER]
+    as_leader = [
+        s for s in sent if s.agent.vehicle_id == 1 and s.agent.session == 2 and s.leadership.role is Role.LEADER
+    ]
     assert all(s.phase is FlightPhase.OBSERVE for s in as_leader)
     assert len(as_leader) <= 2  # until it has fresh peers
-    assert all(s.phase is FlightPhase.FORMATION for s in sent if s.vehicle_id != 1)
+    assert all(s.phase is FlightPhase.FORMATION for s in sent if s.agent.vehicle_id != 1)
 
 
 def test_a_second_formation_of_one_flight_is_measured_with_the_continued_reference() -> None:
@@ -204,9 +206,9 @@ def test_a_second_formation_of_one_flight_is_measured_with_the_continued_referen
     led = [(at_s, s) for at_s, s in flight.watch.reports if flight.formation.start_s < at_s < flight.formation.end_s]
     assert led
     for at_s, status in led:
-        if status.reference_enu_m is not None:
+        if status.formation.reference_enu_m is not None:
             true_enu_m = reference(at_s - flight.formation.reference_start_s).position_enu_m
-            assert dist(status.reference_enu_m, true_enu_m) < 0.03
+            assert dist(status.formation.reference_enu_m, true_enu_m) < 0.03
 
 
 class FirstLap:
@@ -227,7 +229,7 @@ class FirstLap:
         assert all(answer is not None and answer.reply.accepted for answer in answers.values()), answers
 
     def newest(self) -> dict[int, Status]:
-        return {report.status.vehicle_id: report.status for report in self.lockstep.drain()}
+        return {report.status.agent.vehicle_id: report.status for report in self.lockstep.drain()}
 
     def distances_m(self, seconds: float) -> float:
         """Largest distance of any vehicle from its present position during `seconds`."""
@@ -235,7 +237,9 @@ class FirstLap:
         farthest_m = 0.0
         for _ in range(round(seconds / 0.2)):
             now = self.newest_after(0.2)
-            farthest_m = max(farthest_m, *(dist(now[i].position_enu_m, before[i].position_enu_m) for i in self.ids))
+            farthest_m = max(
+                farthest_m, *(dist(now[i].motion.position_enu_m, before[i].position_enu_m) for i in self.ids)
+            )
         return farthest_m
 
     def newest_after(self, seconds: float) -> dict[int, Status]:
@@ -245,9 +249,9 @@ class FirstLap:
 
 def leader_at_m(status: Status) -> float:
     """Distance of the leader to its slot about the RFT."""
-    assert status.reference_enu_m is not None
-    slot = np.add(status.reference_enu_m, status.slot.position_enu_m)
-    return dist(status.position_enu_m, slot.tolist())
+    assert status.formation.reference_enu_m is not None
+    slot = np.add(status.formation.reference_enu_m, status.formation.slot.position_enu_m)
+    return dist(status.motion.position_enu_m, slot.tolist())
 
 
 @pytest.mark.parametrize("next_leader", [1, 2])
@@ -264,8 +268,8 @@ def test_the_figure_8_continues_where_the_leader_left_it_for_hold(next_leader: i
     else:
         flight.give(CommandName.FORM, 1)
     continued = flight.newest_after(0.6)[next_leader]
-    assert continued.role is Role.LEADER
-    assert continued.leader_beacon is not None
-    assert continued.leader_beacon.reference_s == pytest.approx(15.0, abs=1.5)
+    assert continued.leadership.role is Role.LEADER
+    assert continued.leadership.leader_beacon is not None
+    assert continued.leadership.leader_beacon.reference_s == pytest.approx(15.0, abs=1.5)
     assert leader_at_m(continued) < 1.5
     assert flight.distances_m(1.0) < 2.0

@@ -41,7 +41,7 @@ def test_a_vehicle_that_left_is_no_neighbour_and_the_others_continue() -> None:
     assert {fleet.newest[i].phase for i in OTHERS} == {FlightPhase.FORMATION}
     assert fleet.newest[3].phase is FlightPhase.HOLD
     assert max(fleet.errors_m().values()) < 0.1
-    assert fleet.newest[3].position_enu_m[0] < -2.0
+    assert fleet.newest[3].motion.position_enu_m[0] < -2.0
 
 
 def test_a_vehicle_rejoins_its_gap_without_disturbing_the_others() -> None:
@@ -65,8 +65,8 @@ def test_a_vehicle_joins_from_a_distance_and_the_others_keep_their_slots(moving:
     fleet.land(5)
     fleet.take_off_again(5)
     since_s = fleet.lockstep.now_s()
-    slots = {i: status.slot.position_enu_m for i, status in fleet.newest.items()}
-    far_m = fleet.newest[4].position_enu_m[0] - 2.0 - fleet.newest[5].position_enu_m[0]
+    slots = {i: status.formation.slot.position_enu_m for i, status in fleet.newest.items()}
+    far_m = fleet.newest[4].motion.position_enu_m[0] - 2.0 - fleet.newest[5].motion.position_enu_m[0]
     assert far_m > 2.0
     fleet.give(CommandName.FORM, 5)
     fleet.until(5, FlightPhase.FORMATION)
@@ -75,7 +75,7 @@ def test_a_vehicle_joins_from_a_distance_and_the_others_keep_their_slots(moving:
         fleet.go_on(0.5)
         worst_m = max(worst_m, *fleet.errors_m().values())
     assert worst_m < 0.35
-    assert {i: status.slot.position_enu_m for i, status in fleet.newest.items()} == slots
+    assert {i: status.formation.slot.position_enu_m for i, status in fleet.newest.items()} == slots
     assert fleet.smallest_m(since_s) > 1.8
     assert fleet.decisions.jump_m() < JUMP_M
 
@@ -105,7 +105,7 @@ def test_joining_is_refused_during_a_formation_change() -> None:
     fleet.go_on(10.0)
     fleet.give(CommandName.FORM, 5)
     fleet.go_on(5.0)
-    assert np.isclose(fleet.newest[5].slot.position_enu_m[0], -7.2)
+    assert np.isclose(fleet.newest[5].formation.slot.position_enu_m[0], -7.2)
 
 
 def test_a_vehicle_with_low_battery_lands_and_the_others_continue() -> None:
@@ -115,7 +115,7 @@ def test_a_vehicle_with_low_battery_lands_and_the_others_continue() -> None:
     fleet.go_on(30.0 - fleet.lockstep.now_s() + 2.5)
     assert fleet.newest[4].phase is FlightPhase.FORMATION  # it may be a wrong sample yet
     fleet.until(4, FlightPhase.OBSERVE)
-    assert not fleet.newest[4].armed
+    assert not fleet.newest[4].autopilot.armed
     assert "formation -> release (battery below leave_below_percent)" in fleet.events_of(4)
     assert "hold -> land (battery below leave_below_percent)" in fleet.events_of(4)
     assert {fleet.newest[i].phase for i in (1, 2, 3, 5)} == {FlightPhase.FORMATION}
@@ -125,10 +125,10 @@ def test_a_vehicle_with_low_battery_lands_and_the_others_continue() -> None:
 def test_the_successor_replaces_a_leader_that_leaves() -> None:
     fleet = flight(KEEP_GAP, "fleet.leave_below_percent=15", "stand_in.batteries=[{vehicle: 1, at_s: 26, percent: 9}]")
     fleet.until(1, FlightPhase.OBSERVE)
-    assert fleet.newest[2].role is Role.LEADER
+    assert fleet.newest[2].leadership.role is Role.LEADER
     fleet.go_on(20.0)
     assert {fleet.newest[i].phase for i in (2, 3, 4, 5)} == {FlightPhase.FORMATION}
-    assert {status.slot.formation for status in fleet.newest.values()} == {0}
+    assert {status.formation.slot.formation for status in fleet.newest.values()} == {0}
     assert max(fleet.errors_m().values()) < 0.1
     assert fleet.decisions.jump_m() < JUMP_M
 
@@ -137,12 +137,14 @@ def test_the_column_fills_the_gap_and_the_vehicle_joins_at_its_end() -> None:
     fleet = flight(IT_STANDS_FIRST)
     since_s = fleet.lockstep.now_s()
     fleet.land(3)
-    assert {fleet.newest[i].slot.formation for i in OTHERS} == {0}  # vehicle 3 was in the air beside their paths
+    assert {fleet.newest[i].formation.slot.formation for i in OTHERS} == {
+        0
+    }  # vehicle 3 was in the air beside their paths
     kept = "vehicle 3 left, its gap is kept for now: it may still be in the air"
     assert any(event.startswith(kept) for event in fleet.events_of(1))
     fleet.go_on(15.0)
     assert any(event.startswith("closes the gap of vehicle 3: formation 1 begins in") for event in fleet.events_of(1))
-    xs = {i: status.slot.position_enu_m[0] for i, status in fleet.newest.items()}
+    xs = {i: status.formation.slot.position_enu_m[0] for i, status in fleet.newest.items()}
     assert xs == {1: 0.0, 2: -2.0, 4: -4.0, 5: -6.0, 3: -8.0}  # also on the ground
     assert max(fleet.errors_m().values()) < 0.1
     reply = fleet.answers(CommandName.PREPARE, 3)[3]
@@ -162,8 +164,8 @@ def test_the_column_fills_the_gap_and_the_vehicle_joins_at_its_end() -> None:
         fleet.go_on(0.5)
         worst_m = max(worst_m, *fleet.errors_m().values())
     assert "has joined: it is in its slot" in fleet.events_of(3)
-    assert {i: status.slot.position_enu_m[0] for i, status in fleet.newest.items()} == xs
-    assert {status.slot.formation for status in fleet.newest.values()} == {1}
+    assert {i: status.formation.slot.position_enu_m[0] for i, status in fleet.newest.items()} == xs
+    assert {status.formation.slot.formation for status in fleet.newest.values()} == {1}
     assert worst_m < 0.3  # as reported, at up to 1.9 m/s and at different times
     assert fleet.decisions.jump_m() < JUMP_M
     assert fleet.smallest_m(since_s) > 1.7  # true distances, in the air and on the ground
@@ -174,7 +176,7 @@ def test_the_gap_is_kept_while_the_vehicle_holds_in_it(overrides: tuple[str, ...
     fleet = flight(*overrides)
     fleet.give(CommandName.HOLD, 3)
     fleet.go_on(10.0)
-    assert {status.slot.formation for status in fleet.newest.values()} == {0}
+    assert {status.formation.slot.formation for status in fleet.newest.values()} == {0}
     fleet.give(CommandName.FORM, 3)
     fleet.go_on(8.0)
     assert {status.phase for status in fleet.newest.values()} == {FlightPhase.FORMATION}
@@ -187,7 +189,7 @@ def test_a_leader_that_landed_restarts_the_reference_with_the_same_formation() -
     abreast = {i: (0.0, -2.0 * (i - 1), 0.0) for i in range(1, 6)}
     fleet.give(CommandName.FORMATION, content=change_to(abreast, list(fleet.newest.values()), 1.0))
     fleet.go_on(24.0)
-    assert all(np.allclose(status.slot.position_enu_m, abreast[i]) for i, status in fleet.newest.items())
+    assert all(np.allclose(status.formation.slot.position_enu_m, abreast[i]) for i, status in fleet.newest.items())
     fleet.land(1)
     assert {fleet.newest[i].phase for i in (2, 3, 4, 5)} == {FlightPhase.HOLD}
     fleet.take_off_again(1)
@@ -196,7 +198,7 @@ def test_a_leader_that_landed_restarts_the_reference_with_the_same_formation() -
     fleet.give(CommandName.FORM)
     for _ in range(16):
         fleet.go_on(0.5)
-        assert all(np.allclose(status.slot.position_enu_m, abreast[i]) for i, status in fleet.newest.items())
+        assert all(np.allclose(status.formation.slot.position_enu_m, abreast[i]) for i, status in fleet.newest.items())
     assert max(fleet.errors_m().values()) < 0.1
     assert fleet.smallest_m(since_s) > 1.8
 
@@ -213,8 +215,8 @@ def test_two_leaders_have_one_reference_time_after_one_landed(landed: int) -> No
     fleet.go_on(1.0)
     fleet.give(CommandName.FORM)
     fleet.go_on(3.0)
-    assert fleet.newest[1].role is fleet.newest[2].role is Role.LEADER
-    times_s = [status.reference_s for status in fleet.newest.values()]
+    assert fleet.newest[1].leadership.role is fleet.newest[2].leadership.role is Role.LEADER
+    times_s = [status.formation.reference_s for status in fleet.newest.values()]
     assert max(times_s) - min(times_s) < 0.2
     before_s = 10.0
     assert (times_s[0] < before_s) is (landed == 1)
@@ -243,7 +245,7 @@ def test_a_restarted_second_leader_forms_only_with_the_reference_of_the_first() 
     fleet.give(CommandName.REFERENCE, 2, content=change)
     fleet.give(CommandName.FORM, 2)
     fleet.go_on(3.0)
-    assert fleet.newest[2].reference == fleet.newest[1].reference
+    assert fleet.newest[2].formation.reference == fleet.newest[1].formation.reference
 
 
 def test_a_commanded_formation_has_priority_over_gap_filling() -> None:
@@ -255,9 +257,11 @@ def test_a_commanded_formation_has_priority_over_gap_filling() -> None:
     change = change_to(wider, list(fleet.newest.values()), 1.0)
     fleet.give(CommandName.FORMATION, *OTHERS, content=change)
     fleet.go_on(change.lasts_s + 1.2)
-    assert {i: fleet.newest[i].slot.position_enu_m for i in OTHERS} == {i: wider[i] for i in OTHERS}
+    assert {i: fleet.newest[i].formation.slot.position_enu_m for i in OTHERS} == {i: wider[i] for i in OTHERS}
     fleet.go_on(20.0)  # and then
-    assert [fleet.newest[i].slot.position_enu_m[0] for i in (1, 2, 4, 5, 3)] == [wider[i][0] for i in range(1, 6)]
+    assert [fleet.newest[i].formation.slot.position_enu_m[0] for i in (1, 2, 4, 5, 3)] == [
+        wider[i][0] for i in range(1, 6)
+    ]
 
 
 def test_the_successor_of_a_leader_that_left_fills_its_gap() -> None:
@@ -265,8 +269,8 @@ def test_the_successor_of_a_leader_that_left_fills_its_gap() -> None:
     since_s = fleet.lockstep.now_s()
     fleet.land(1)
     fleet.go_on(20.0)
-    assert fleet.newest[2].role is Role.LEADER
-    assert [fleet.newest[i].slot.position_enu_m[0] for i in (2, 3, 4, 5, 1)] == [0.0, -2.0, -4.0, -6.0, -8.0]
+    assert fleet.newest[2].leadership.role is Role.LEADER
+    assert [fleet.newest[i].formation.slot.position_enu_m[0] for i in (2, 3, 4, 5, 1)] == [0.0, -2.0, -4.0, -6.0, -8.0]
     assert max(fleet.errors_m().values()) < 0.1
     assert fleet.decisions.jump_m() < JUMP_M
     assert fleet.smallest_m(since_s) > 1.6
@@ -277,7 +281,7 @@ def test_the_gap_is_filled_over_a_bad_network_with_noise() -> None:
     since_s = fleet.lockstep.now_s()
     fleet.land(3)
     fleet.go_on(25.0)
-    assert [fleet.newest[i].slot.position_enu_m[0] for i in (1, 2, 4, 5, 3)] == [0.0, -2.0, -4.0, -6.0, -8.0]
+    assert [fleet.newest[i].formation.slot.position_enu_m[0] for i in (1, 2, 4, 5, 3)] == [0.0, -2.0, -4.0, -6.0, -8.0]
     assert {fleet.newest[i].phase for i in OTHERS} == {FlightPhase.FORMATION}
     assert fleet.smallest_m(since_s) > 1.4
 

@@ -123,7 +123,7 @@ def test_followers_without_peers_hand_over_to_the_autopilot() -> None:
     for vehicle_id in (1, 2, 3, 4):
         status = flight.watch.status(vehicle_id)
         assert status is not None
-        assert not status.armed
+        assert not status.autopilot.armed
         assert status.phase is FlightPhase.OBSERVE
 
 

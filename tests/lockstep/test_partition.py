@@ -32,7 +32,7 @@ def on_the_figure_8(law: str, *overrides: str) -> CommandedFlight:
 
 
 def leaders(flight: CommandedFlight) -> set[int]:
-    return {i for i, status in flight.newest.items() if status.role is Role.LEADER}
+    return {i for i, status in flight.newest.items() if status.leadership.role is Role.LEADER}
 
 
 def phases(flight: CommandedFlight) -> dict[int, FlightPhase]:
@@ -68,14 +68,14 @@ def test_a_leader_that_is_cut_off_holds_and_follows_its_successor_afterwards(law
     flight.separate(1, for_s=8.0)
     flight.go_on(4.5)
     assert leaders(flight) == {1, 2}  # on one reference and one mission time
-    times_s = [flight.newest[i].reference_s for i in (1, 2)]
+    times_s = [flight.newest[i].formation.reference_s for i in (1, 2)]
     assert times_s[0] == pytest.approx(times_s[1], abs=0.15)
-    assert F.FLEET_LINK_LOST in flight.newest[1].flags
+    assert F.FLEET_LINK_LOST in flight.newest[1].safety.flags
     flight.go_on(1.5)
     assert phases(flight) == {1: P.HOLD, 2: P.FORMATION, 3: P.FORMATION, 4: P.FORMATION}
     flight.go_on(3.0)
     assert leaders(flight) == {2}
-    assert not flight.newest[1].flags
+    assert not flight.newest[1].safety.flags
     form_again(flight, 1)
     flight.go_on(8.0)
     assert leaders(flight) == {2}
@@ -93,7 +93,7 @@ def test_two_halves_fly_on_and_become_one_fleet_again(law: str) -> None:
     assert set(phases(flight).values()) == {P.FORMATION}
     flight.go_on(2.0)
     assert leaders(flight) == {2}
-    assert {status.epoch for status in flight.newest.values()} == {1}
+    assert {status.leadership.epoch for status in flight.newest.values()} == {1}
     flight.go_on(8.0)
     assert set(phases(flight).values()) == {P.FORMATION}
     assert max(flight.errors_m().values()) < 0.8

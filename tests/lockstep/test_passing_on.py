@@ -26,9 +26,9 @@ def test_all_vehicles_fly_a_formation_commanded_to_the_leader_only(overrides: tu
     flight = CommandedFlight(SCENARIO, *overrides)
     flight.give(CommandName.FORMATION, 1, content=wider(flight))
     flight.go_on(0.8)
-    assert {status.slot.waiting for status in flight.newest.values()} == {1}
+    assert {status.formation.slot.waiting for status in flight.newest.values()} == {1}
     flight.go_on(14.0)
-    assert {i: status.slot.position_enu_m for i, status in flight.newest.items()} == WIDER
+    assert {i: status.formation.slot.position_enu_m for i, status in flight.newest.items()} == WIDER
     flight.packets.clear()
     flight.go_on(1.0)
     assert flight.packets
@@ -39,7 +39,7 @@ def test_a_formation_that_the_leader_lacks_does_not_begin() -> None:
     flight = CommandedFlight(SCENARIO)
     flight.give(CommandName.FORMATION, *range(2, 9), content=wider(flight))
     flight.go_on(2.0)
-    assert {status.slot.formation for status in flight.newest.values()} == {0}
+    assert {status.formation.slot.formation for status in flight.newest.values()} == {0}
     assert (5, "formation 1 does not begin: vehicle 1 does not have it") in flight.events
 
 
@@ -59,19 +59,21 @@ def test_a_formation_outside_the_fence_with_the_next_reference_is_refused() -> N
         assert reply.code is Code.SLOT_OUTSIDE_FENCE
         assert "puts vehicle 4 at y = 14.0 m" in reply.reason
     flight.go_on(10.0)
-    assert {(s.phase, s.slot.formation, s.flags) for s in flight.newest.values()} == {(FlightPhase.FORMATION, 0, ())}
+    assert {(s.phase, s.formation.slot.formation, s.safety.flags) for s in flight.newest.values()} == {
+        (FlightPhase.FORMATION, 0, ())
+    }
 
 
 def test_a_landed_and_a_restarted_vehicle_get_the_formation_on_the_ground() -> None:
     flight = CommandedFlight(SCENARIO)
     flight.give(CommandName.LAND, 8)
     flight.go_on(15.0)
-    assert not flight.newest[8].armed
+    assert not flight.newest[8].autopilot.armed
     change = wider(flight)
     flight.give(CommandName.FORMATION, *range(1, 8), content=change)
     flight.go_on(14.0)
-    assert {status.slot.formation for status in flight.newest.values()} == {1}
-    assert flight.newest[8].slot.position_enu_m == WIDER[8]
+    assert {status.formation.slot.formation for status in flight.newest.values()} == {1}
+    assert flight.newest[8].formation.slot.position_enu_m == WIDER[8]
     assert (8, "passed on by vehicle 1: formation 1, which the others fly") in flight.events
 
     in_order = flight.lockstep.in_order
@@ -81,7 +83,7 @@ def test_a_landed_and_a_restarted_vehicle_get_the_formation_on_the_ground() -> N
     flight.lockstep.in_order = in_order
     flight.newest.clear()
     flight.go_on(1.0)
-    assert flight.newest[8].slot.position_enu_m == WIDER[8]
+    assert flight.newest[8].formation.slot.position_enu_m == WIDER[8]
 
 
 def test_a_restarted_leader_does_not_form_with_vehicles_of_another_formation() -> None:
@@ -99,8 +101,10 @@ def test_a_restarted_leader_does_not_form_with_vehicles_of_another_formation() -
     flight.go_on(1.0)
     flight.give(CommandName.HOLD, 1)
     flight.go_on(1.0)
-    assert {i: status.slot.formation for i, status in flight.newest.items()} == {1: 0} | dict.fromkeys(range(2, 9), 1)
+    assert {i: status.formation.slot.formation for i, status in flight.newest.items()} == {1: 0} | dict.fromkeys(
+        range(2, 9), 1
+    )
     replies = flight.answers(CommandName.FORM)
     assert {i for i, reply in replies.items() if reply and reply.accepted} == {1}
     flight.go_on(1.0)
-    assert {status.slot.formation for status in flight.newest.values()} == {0}
+    assert {status.formation.slot.formation for status in flight.newest.values()} == {0}

@@ -44,8 +44,8 @@ class Flight:
     def led(self, from_s: float = 0.0) -> Iterator[tuple[float, Status]]:
         """Reports of leaders in formation."""
         for at_s, status in self.watch.reports:
-            beacon = status.leader_beacon
-            if status.reference_enu_m and beacon and beacon.reference_s > 0.0 and at_s >= from_s:
+            beacon = status.leadership.leader_beacon
+            if status.formation.reference_enu_m and beacon and beacon.reference_s > 0.0 and at_s >= from_s:
                 yield at_s, status
 
     def command(self, name: CommandName, *ids: int, content: Content | None = None) -> None:
@@ -66,7 +66,9 @@ def circle_then_way() -> tuple[Flight, list[str]]:
 
 
 def begun(flight: Flight, number: int) -> float:
-    return next(at_s for at_s, s in flight.watch.reports if s.reference and s.reference.flown == number)
+    return next(
+        at_s for at_s, s in flight.watch.reports if s.formation.reference and s.formation.reference.flown == number
+    )
 
 
 def test_a_circle_and_waypoints_are_flown_with_a_leader_change_in_the_blend() -> None:
@@ -78,7 +80,7 @@ def test_a_circle_and_waypoints_are_flown_with_a_leader_change_in_the_blend() ->
     }
     assert len({event for _, event in events}) == 2  # both have the same, to the tenth of a second
     lasts_s = float(events[-1][1].rpartition(" s)")[0].rpartition(" ")[2])
-    led_s = next(at_s for at_s, s in flight.led() if s.vehicle_id == 2)
+    led_s = next(at_s for at_s, s in flight.led() if s.agent.vehicle_id == 2)
     assert begun(flight, 2) < led_s < begun(flight, 2) + lasts_s
     assert not any(any(status.rejected) for _, status in flight.watch.reports)
 
@@ -97,12 +99,12 @@ def test_slots_and_references_do_not_jump_and_vehicles_keep_their_distance() -> 
 def test_the_reference_continues_without_a_jump_within_its_limits() -> None:
     flight, _ = circle_then_way()
     for (a_s, a), (b_s, b) in pairwise(flight.led()):
-        assert a.reference_enu_m is not None
-        assert b.reference_enu_m is not None
-        assert dist(a.reference_enu_m, b.reference_enu_m) < 4.0 * (b_s - a_s) + 0.05
+        assert a.formation.reference_enu_m is not None
+        assert b.formation.reference_enu_m is not None
+        assert dist(a.formation.reference_enu_m, b.formation.reference_enu_m) < 4.0 * (b_s - a_s) + 0.05
     last = list(flight.led())[-1][1]
-    assert last.vehicle_id == 2
-    assert last.reference_enu_m == pytest.approx((0.0, -5.0, 2.0))
+    assert last.agent.vehicle_id == 2
+    assert last.formation.reference_enu_m == pytest.approx((0.0, -5.0, 2.0))
 
 
 def test_figures_use_the_flown_reference() -> None:
@@ -129,7 +131,7 @@ def test_a_reference_change_needs_all_vehicles_that_may_lead() -> None:
     flight.lockstep.sleep(2.0)
     statuses = flight.listen()
     assert statuses[1].last_event.code is Code.REFERENCE_CANCELLED
-    assert statuses[1].reference == statuses[2].reference
+    assert statuses[1].formation.reference == statuses[2].formation.reference
 
 
 def test_the_reference_time_stops_in_hold_and_a_change_begins_afterwards() -> None:
@@ -143,12 +145,12 @@ def test_the_reference_time_stops_in_hold_and_a_change_begins_afterwards() -> No
     change = reference_change(point, list(flight.listen().values()))
     flight.command(CommandName.REFERENCE, 1, 2, content=change)
     flight.lockstep.sleep(3.0)
-    assert {i: s.reference.flown for i, s in flight.listen().items() if s.reference} == {1: 0, 2: 0}
+    assert {i: s.formation.reference.flown for i, s in flight.listen().items() if s.formation.reference} == {1: 0, 2: 0}
     flight.command(CommandName.FORM, 1, 2, 3, 4)
     flight.lockstep.sleep(8.0)
     statuses = flight.listen()
-    assert {i: s.reference.flown for i, s in statuses.items() if s.reference} == {1: 1, 2: 1}
-    assert statuses[1].reference_enu_m == pytest.approx((1.0, 1.0, 2.0))
+    assert {i: s.formation.reference.flown for i, s in statuses.items() if s.formation.reference} == {1: 1, 2: 1}
+    assert statuses[1].formation.reference_enu_m == pytest.approx((1.0, 1.0, 2.0))
 
 
 def test_an_agent_restarted_in_flight_does_not_become_leader_without_the_reference() -> None:
@@ -176,7 +178,7 @@ def test_an_agent_restarted_in_flight_does_not_become_leader_without_the_referen
     flight.command(CommandName.LEAD, 1, 2, 3, 4, content=Lead((2,), 1))
     flight.lockstep.sleep(8.0)
     status = flight.listen()[2]
-    assert status.reference_enu_m == pytest.approx((1.0, 1.0, 2.0))
+    assert status.formation.reference_enu_m == pytest.approx((1.0, 1.0, 2.0))
 
 
 def follow(flight: Flight, seconds: float, path: Callable[[float], tuple[Vector3, Vector3]]) -> None:
@@ -206,19 +208,19 @@ def test_a_target_is_followed_over_a_leader_change_and_its_loss_ends_at_rest() -
     flight.lockstep.ask([1, 2, 3, 4], CommandName.LEAD, 1.0, Lead((2,), 1))
     follow(flight, 10.0, lambda t: walk(t + 15.0))
     for at_s, status in flight.led(began_s + 14.0):
-        assert status.reference_enu_m is not None
-        assert dist(status.reference_enu_m[:2], walk(at_s - began_s)[0][:2]) < 0.3
-        assert status.reference_enu_m[2] == 2.0
-        assert status.target_age_s is not None
-        assert status.target_age_s < 0.2
+        assert status.formation.reference_enu_m is not None
+        assert dist(status.formation.reference_enu_m[:2], walk(at_s - began_s)[0][:2]) < 0.3
+        assert status.formation.reference_enu_m[2] == 2.0
+        assert status.formation.target_age_s is not None
+        assert status.formation.target_age_s < 0.2
     assert flight.decisions.jump_m() < JUMP_M
     silent_s = flight.lockstep.now_s()
     for _ in range(60):
         flight.lockstep.sleep(0.1)
         statuses = flight.listen()
     assert any("target main is silent for 1 s" in event.event for event in flight.watch.events)
-    assert statuses[2].target_age_s is not None
-    assert statuses[2].target_age_s > 5.0
-    at_rest = [s.reference_enu_m for at_s, s in flight.led(silent_s + 4.0)]
+    assert statuses[2].formation.target_age_s is not None
+    assert statuses[2].formation.target_age_s > 5.0
+    at_rest = [s.formation.reference_enu_m for at_s, s in flight.led(silent_s + 4.0)]
     assert max(dist(a, b) for a, b in pairwise(at_rest) if a and b) < 1e-3
-    assert max(hypot(*s.velocity_enu_m_s) for s in statuses.values()) < 0.3
+    assert max(hypot(*s.motion.velocity_enu_m_s) for s in statuses.values()) < 0.3

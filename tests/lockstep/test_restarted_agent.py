@@ -62,7 +62,7 @@ class RestartedLeader(CommandedFlight):
         while self.lockstep.now_s() < time_s - 0.001:
             self.lockstep.sleep(0.02)
             for report in self.lockstep.drain():
-                self.newest[report.status.vehicle_id] = report.status
+                self.newest[report.status.agent.vehicle_id] = report.status
                 self.statuses.append((self.lockstep.now_s(), report.status))
 
     def commanded_after_s(self) -> float:
@@ -81,15 +81,19 @@ def observed(make: AutopilotKind) -> RestartedLeader:
 @MAKES
 def test_the_successor_stays_leader(make: AutopilotKind) -> None:
     flight = observed(make)
-    assert {(s.role, s.epoch, s.phase) for s in flight.newest.values()} == {
+    assert {(s.leadership.role, s.leadership.epoch, s.phase) for s in flight.newest.values()} == {
         (Role.LEADER, 1, FlightPhase.FORMATION),
         (Role.FOLLOWER, 1, FlightPhase.FORMATION),
         (Role.FOLLOWER, 1, FlightPhase.OBSERVE),
     }
-    led = [(at_s, s.vehicle_id) for at_s, s in flight.statuses if s.role is Role.LEADER and s.epoch == 1]
+    led = [
+        (at_s, s.agent.vehicle_id)
+        for at_s, s in flight.statuses
+        if s.leadership.role is Role.LEADER and s.leadership.epoch == 1
+    ]
     assert {vehicle_id for _, vehicle_id in led} == {2}
     assert min(led)[0] - ENDS_S < 1.0
-    stale = [s for _, s in flight.statuses if s.session == 2 and s.role is Role.LEADER]
+    stale = [s for _, s in flight.statuses if s.agent.session == 2 and s.leadership.role is Role.LEADER]
     assert len(stale) <= 2  # the role of its file, until it has fresh peers
     assert all(s.phase is FlightPhase.OBSERVE for s in stale)
     beacons = [
@@ -103,9 +107,9 @@ def test_the_successor_stays_leader(make: AutopilotKind) -> None:
 @MAKES
 def test_the_restarted_agent_observes(make: AutopilotKind) -> None:
     flight = observed(make)
-    own = [s for _, s in flight.statuses if s.session == 2]
+    own = [s for _, s in flight.statuses if s.agent.session == 2]
     assert {s.phase for s in own} == {FlightPhase.OBSERVE}
-    assert own[-1].armed
+    assert own[-1].autopilot.armed
     assert flight.commanded_after_s() <= 0.0
     assert {type(request) for request in flight.requests} <= {RequestOrigin, RequestParameter}
 
@@ -116,8 +120,8 @@ def test_the_others_use_its_position_at_once_and_nothing_else(make: AutopilotKin
     first_s = min(p.motion.sent_s for p in flight.packets if p.sender.vehicle_id == 1 and p.sender.session == 2)
     assert first_s - ENDS_S - RESTARTS_AFTER_S < 1.2  # the origin follows a HEARTBEAT, which comes once a second
     for vehicle_id in OTHERS:
-        after = [s for at_s, s in flight.statuses if s.vehicle_id == vehicle_id and at_s > first_s + FRESH_S]
-        assert all(1 in s.peers and 1 not in s.neighbours for s in after)
+        after = [s for at_s, s in flight.statuses if s.agent.vehicle_id == vehicle_id and at_s > first_s + FRESH_S]
+        assert all(1 in s.neighbourhood.peers and 1 not in s.neighbourhood.neighbours for s in after)
         assert not any("PEER_ID_TWICE" in code for code in after[-1].rejected)
 
 
@@ -127,7 +131,7 @@ def test_it_lands_by_command_and_the_others_pass_it(make: AutopilotKind) -> None
     flight.until_s(ENDS_S + 5.0)
     flight.give(CommandName.LAND, 1)
     flight.until_s(ENDS_S + 20.0)
-    assert not flight.newest[1].armed
+    assert not flight.newest[1].autopilot.armed
     assert flight.newest[1].phase is FlightPhase.OBSERVE
     assert {flight.newest[i].phase for i in OTHERS} == {FlightPhase.FORMATION}
     assert flight.commanded_after_s() <= 0.0
@@ -144,7 +148,7 @@ def test_it_holds_and_forms_by_command_as_a_follower(make: AutopilotKind) -> Non
     flight.give(CommandName.FORM, 1)
     flight.until(1, FlightPhase.FORMATION)
     flight.go_on(6.0)
-    assert {i: (s.role, s.epoch) for i, s in flight.newest.items()} == {
+    assert {i: (s.leadership.role, s.leadership.epoch) for i, s in flight.newest.items()} == {
         i: (Role.LEADER if i == 2 else Role.FOLLOWER, 1) for i in (1, *OTHERS)
     }
     assert flight.errors_m()[1] < 1.0

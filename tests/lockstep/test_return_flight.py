@@ -76,7 +76,7 @@ def test_all_vehicles_return_at_once_and_land_at_their_starts(tmp_path: Path, ma
         assert dist(positions[-1][:2], STARTS[vehicle_id][:2]) < DOWN_WITHIN_M
         status = flight.watch.status(vehicle_id)
         assert status is not None
-        assert not status.armed
+        assert not status.autopilot.armed
     apart_m = min(float(np.linalg.norm(at[i] - at[j], axis=1).min()) for i, j in combinations(at, 2))
     assert apart_m > 2.0
 
@@ -88,7 +88,7 @@ def test_a_return_with_crossing_paths_is_refused_with_the_reason(tmp_path: Path)
     assert "return not done within 2 s" in flight.failure
     assert "RETURN_PATH_TOO_CLOSE" in flight.failure
     assert "expected at least separation_m, 1 m; land instead" in flight.failure
-    assert all(not status.armed for i in STARTS if (status := flight.watch.status(i)))
+    assert all(not status.autopilot.armed for i in STARTS if (status := flight.watch.status(i)))
     ends_m = {i: track.at(track.time_s[-1:])[0] for i, track in flight.tracks().items()}
     assert all(ends_m[i][0] - start[0] > 11.0 for i, start in STARTS.items())
 
@@ -103,8 +103,8 @@ def returned_alone(make: str, *ids: int) -> CommandedFlight:
     assert flight.smallest_m(since_s) >= flight.scenario.fleet.separation_m
     for vehicle_id in ids:
         status = flight.newest[vehicle_id]
-        assert not status.armed
-        assert dist(status.position_enu_m[:2], flight.scenario.starts_enu_m[vehicle_id][:2]) < DOWN_WITHIN_M
+        assert not status.autopilot.armed
+        assert dist(status.motion.position_enu_m[:2], flight.scenario.starts_enu_m[vehicle_id][:2]) < DOWN_WITHIN_M
     return flight
 
 
@@ -117,18 +117,18 @@ def test_a_leader_that_returns_alone_is_replaced_and_the_others_fly_past_it(make
     """With PX4 they come back over its start while it lands there, and stop before it."""
     flight = returned_alone(make, 1)
     assert phases_of(flight, 2, 3, 4, 5) == dict.fromkeys((2, 3, 4, 5), FlightPhase.FORMATION)
-    assert {i for i in (2, 3, 4, 5) if flight.newest[i].role is Role.LEADER} == {2}
+    assert {i for i in (2, 3, 4, 5) if flight.newest[i].leadership.role is Role.LEADER} == {2}
     assert max(flight.errors_m().values()) < 0.1
 
 
 def test_followers_whose_leader_and_successor_return_hold() -> None:
     flight = returned_alone("px4", 1, 2)
     assert phases_of(flight, 3, 4, 5) == dict.fromkeys((3, 4, 5), FlightPhase.HOLD)
-    assert all(HealthFlag.LEADER_LOST in flight.newest[i].flags for i in (3, 4, 5))
+    assert all(HealthFlag.LEADER_LOST in flight.newest[i].safety.flags for i in (3, 4, 5))
 
 
 def test_a_follower_whose_neighbours_return_holds_and_the_others_fly_on() -> None:
     flight = returned_alone("px4", 3, 4)
     assert phases_of(flight, 1, 2, 5) == {1: FlightPhase.FORMATION, 2: FlightPhase.FORMATION, 5: FlightPhase.HOLD}
-    assert HealthFlag.LEADER_LOST in flight.newest[5].flags
+    assert HealthFlag.LEADER_LOST in flight.newest[5].safety.flags
     assert max(flight.errors_m().values()) < 0.1

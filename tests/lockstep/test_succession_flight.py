@@ -55,7 +55,7 @@ class Flown:
         return self._first(lambda packet: packet.leader.beacon is not None and packet.leader.beacon.leader_id == by)
 
     def last(self) -> dict[int, Status]:
-        return {status.vehicle_id: status for status in self.reports}
+        return {status.agent.vehicle_id: status for status in self.reports}
 
     def _first(self, is_it) -> dict[int, float]:  # type: ignore[no-untyped-def]
         return {packet.sender.vehicle_id: at_s for at_s, packet in reversed(self.packets) if is_it(packet)}
@@ -93,16 +93,20 @@ def test_a_stopped_leader_is_detected_within_0_3_s_and_replaced_within_0_65_s() 
     assert flight.noticed_s().keys() == {2, 3, 4}
     assert flight.led_s(by=2).keys() == {2, 3, 4}
     assert max(flight.led_s(by=2).values()) < 0.65
-    assert {(s.role, s.epoch, s.prc) for s in flight.last().values() if s.vehicle_id == 2} == {(Role.LEADER, 1, 1)}
-    assert [flight.last()[i].prc for i in (2, 3, 4)] == [1, 2, 3]
+    assert {
+        (s.leadership.role, s.leadership.epoch, s.leadership.prc)
+        for s in flight.last().values()
+        if s.agent.vehicle_id == 2
+    } == {(Role.LEADER, 1, 1)}
+    assert [flight.last()[i].leadership.prc for i in (2, 3, 4)] == [1, 2, 3]
 
 
 def test_the_missing_leader_is_reported_and_all_stay_in_formation() -> None:
     flight = flown(SUCCESSOR, "fleet.law.name=cooperative")
     assert {status.phase for status in flight.reports} == {FlightPhase.FORMATION}
-    assert {flag for status in flight.reports for flag in status.flags} == {HealthFlag.LEADER_AWAITED}
+    assert {flag for status in flight.reports for flag in status.safety.flags} == {HealthFlag.LEADER_AWAITED}
     assert Code.LEADER_AWAITED in {status.last_event.code for status in flight.reports if status.last_event}
-    assert not any(status.flags for status in flight.last().values())
+    assert not any(status.safety.flags for status in flight.last().values())
 
 
 def test_a_turning_formation_continues_without_a_step() -> None:
@@ -146,13 +150,13 @@ def test_the_second_successor_becomes_leader_when_the_first_stops_too() -> None:
     assert 0.8 < max(flight.led_s(by=3).values()) < 1.0
     # The last state of a dead leader is extrapolated by two ticks and used until it is peers.max_age_s old: twice 0.3 s late.
     assert max(float(error_m.max()) for error_m in flight.errors_m.values()) < 0.13
-    assert flight.last()[4].prc == 2
+    assert flight.last()[4].leadership.prc == 2
 
 
 def test_a_running_leader_is_never_replaced_over_a_slow_lossy_network() -> None:
     flight = flown(SUCCESSOR, "links.peer_loss=0.1", "links.peer_delay_s=0.1", dead=(), for_s=60.0)
     assert not flight.noticed_s()
-    assert {status.epoch for status in flight.reports} == {0}
+    assert {status.leadership.epoch for status in flight.reports} == {0}
 
 
 def test_all_vehicles_hold_and_then_land_without_successors() -> None:
@@ -160,12 +164,14 @@ def test_all_vehicles_hold_and_then_land_without_successors() -> None:
     assert max(flight.noticed_s().values()) < 0.3
     codes = [s.last_event.code for s in flight.reports if s.last_event and s.phase is FlightPhase.LAND]
     assert codes and set(codes) == {Code.LEADER_LOST}
-    assert {(status.phase, status.armed) for status in flight.last().values()} == {(FlightPhase.OBSERVE, False)}
+    assert {(status.phase, status.autopilot.armed) for status in flight.last().values()} == {
+        (FlightPhase.OBSERVE, False)
+    }
 
 
 def test_all_vehicles_stay_in_hold_without_a_land_time() -> None:
     flight = flown(for_s=25.0)
-    assert {(status.phase, status.armed) for status in flight.last().values()} == {(FlightPhase.HOLD, True)}
+    assert {(status.phase, status.autopilot.armed) for status in flight.last().values()} == {(FlightPhase.HOLD, True)}
 
 
 def test_a_commanded_hold_does_not_end_in_landing() -> None:
@@ -190,7 +196,7 @@ def test_a_successor_that_lags_far_behind_a_fast_reference_takes_over_and_nobody
     for _ in range(40):
         flight.go_on(0.5)
         assert {flight.newest[i].phase for i in (2, 3, 4)} == {FlightPhase.FORMATION}
-    assert [flight.newest[i].role for i in (2, 3, 4)] == [Role.LEADER, Role.FOLLOWER, Role.FOLLOWER]
-    assert flight.newest[2].position_enu_m[0] > 70.0  # it has led the others to the end of the way
+    assert [flight.newest[i].leadership.role for i in (2, 3, 4)] == [Role.LEADER, Role.FOLLOWER, Role.FOLLOWER]
+    assert flight.newest[2].motion.position_enu_m[0] > 70.0  # it has led the others to the end of the way
     assert flight.decisions.jump_m(since_s) < JUMP_M
     assert flight.smallest_m(since_s) > flight.scenario.fleet.separation_m

@@ -40,12 +40,14 @@ class Flown(FlownScenario):
     def led(self) -> list[tuple[float, Status]]:
         """Reports of leaders in formation, in order."""
         return [
-            (at_s, s) for at_s, s in self.watch.reports if s.role is Role.LEADER and s.phase is FlightPhase.FORMATION
+            (at_s, s)
+            for at_s, s in self.watch.reports
+            if s.leadership.role is Role.LEADER and s.phase is FlightPhase.FORMATION
         ]
 
     def headings_rad(self) -> FloatArray:
         """Headings of the leaders over time."""
-        angles = np.unwrap([s.heading.angle_rad for _, s in self.led()])
+        angles = np.unwrap([s.formation.heading.angle_rad for _, s in self.led()])
         return np.interp(self.times_s, [at_s for at_s, _ in self.led()], angles)
 
     def errors_m(self) -> dict[int, FloatArray]:
@@ -55,7 +57,9 @@ class Flown(FlownScenario):
         errors = {}
         for i, track in self.tracks.items():
             recorded = [
-                (at_s, status.slot.position_enu_m) for at_s, status in self.watch.reports if status.vehicle_id == i
+                (at_s, status.formation.slot.position_enu_m)
+                for at_s, status in self.watch.reports
+                if status.agent.vehicle_id == i
             ]
             x, y, z = (
                 np.interp(self.times_s, [at for at, _ in recorded], [d[k] for _, d in recorded]) for k in range(3)
@@ -117,7 +121,7 @@ def test_a_column_changes_to_a_line_while_turning_on_a_circle() -> None:
     assert max(e.max() for e in flight.errors_m().values()) < 0.4
     assert flight.smallest_m(SETTLED_S) > 1.3  # slots that are 2 m apart keep 1.41 m or more during the change
     assert flight.decisions.jump_m() < JUMP_M
-    end = {i: status.slot for i in flight.tracks if (status := flight.watch.status(i))}
+    end = {i: status.formation.slot for i in flight.tracks if (status := flight.watch.status(i))}
     assert sorted(round(slot.position_enu_m[1], 6) for slot in end.values()) == [-3.0, -1.0, 1.0, 3.0]
     assert all(slot.formation == 1 and slot.position_enu_m[0] == pytest.approx(0.0) for slot in end.values())
 
@@ -132,7 +136,9 @@ def test_a_vehicle_rejoins_a_turning_formation() -> None:
     turning = ("fleet.formation_heading=course", "fleet.slot_speed_m_s=1.5", "stand_in.sensors=ideal")
     flight = flown("leaving.yaml", *turning, f"timeline[6].reference={circle}", "timeline[10].for_s=20")
     joined_s = next(e.time_s for e in flight.watch.events if e.vehicle == 3 and e.event.startswith("has joined"))
-    assert max(abs(s.heading.rate_rad_s) for at_s, s in flight.led() if at_s > joined_s) > 0.08  # 2 pi / 60 are 0.1
+    assert (
+        max(abs(s.formation.heading.rate_rad_s) for at_s, s in flight.led() if at_s > joined_s) > 0.08
+    )  # 2 pi / 60 are 0.1
     assert flight.decisions.jump_m() < JUMP_M
     smallest_m = smallest_distance_m(flight.tracks)
     assert smallest_m is not None
@@ -150,12 +156,12 @@ def test_a_vehicle_in_hold_turns_to_the_heading_of_a_new_leader() -> None:
         SCENARIOS / COLUMN, "fleet.separation_m=0.5"
     )  # straight paths between two headings are narrow
     fleet.go_on(6.0)
-    assert all(status.heading.angle_rad > 1.5 for status in fleet.newest.values())
+    assert all(status.formation.heading.angle_rad > 1.5 for status in fleet.newest.values())
     fleet.land(1)
     fleet.take_off_again(1)
     fleet.go_on(0.5)
     fleet.give(CommandName.FORM)
     for _ in range(10):
         fleet.go_on(0.3)
-        angles_rad = [status.heading.angle_rad for status in fleet.newest.values()]
+        angles_rad = [status.formation.heading.angle_rad for status in fleet.newest.values()]
         assert max(angles_rad) - min(angles_rad) < 0.05

@@ -169,7 +169,7 @@ def test_steady_wind_leaves_no_error_with_ardupilot() -> None:
     copters = ("stand_in.autopilot=ardupilot", "stand_in.airframe.hover_thrust_norm=0.49", "timeline[1].timeout_s=60")
     flight = flown("platoon_wind", THEN_HOLD, *copters, assuming(LOW), CALM)
     assert flight.errors_m(from_s=10.0).max() < 0.01
-    assert flight.watch.received[-1].hover_thrust_norm == pytest.approx(TRUE_HOVER, rel=0.01)
+    assert flight.watch.received[-1].control.hover_thrust_norm == pytest.approx(TRUE_HOVER, rel=0.01)
 
 
 def test_wind_displaces_the_formation_without_the_observer() -> None:
@@ -181,8 +181,8 @@ def test_wind_displaces_the_formation_without_the_observer() -> None:
 @pytest.mark.parametrize("assumed", [LOW, HIGH])
 def test_the_status_reports_hover_thrust_and_wind(assumed: float) -> None:
     status = windy(assumed, CALM).watch.received[-1]
-    assert status.hover_thrust_norm == pytest.approx(TRUE_HOVER, rel=0.01)
-    assert status.disturbance_enu_m_s2 == pytest.approx((0.25 * 6.5, 0.25 * 4.7, 0.0), abs=0.02)
+    assert status.control.hover_thrust_norm == pytest.approx(TRUE_HOVER, rel=0.01)
+    assert status.control.disturbance_enu_m_s2 == pytest.approx((0.25 * 6.5, 0.25 * 4.7, 0.0), abs=0.02)
 
 
 # ---------------------------------------------------------------- hand-overs

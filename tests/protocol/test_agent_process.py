@@ -114,7 +114,7 @@ def test_in_formation_every_position_is_answered_and_none_without_positions(file
         sent = len(autopilot.target_times_s)
         time.sleep(0.6)
         assert len(autopilot.target_times_s) == sent  # no setpoint is repeated
-        assert newest(session).status.state_age_s > 0.3  # the agent still ticks and reports
+        assert newest(session).status.motion.state_age_s > 0.3  # the agent still ticks and reports
 
 
 def test_a_mode_set_by_a_pilot_ends_the_stream(files: AgentFiles) -> None:

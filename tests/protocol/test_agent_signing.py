@@ -68,7 +68,7 @@ def test_foreign_packets_on_a_signed_link_are_counted_and_dropped(files: AgentFi
             autopilot.inject(replayed)
         process.wait_for_log(Code.MAVLINK_OLD_SIGNATURE)
         assert "timestamp" not in process.log  # one line of the agent, none per packet from pymavlink
-        assert hold(files, autopilot).mode_name == "AUTO.LOITER"
+        assert hold(files, autopilot).autopilot.mode_name == "AUTO.LOITER"
 
 
 def test_an_autopilot_without_the_time_gets_it_from_the_agent(files: AgentFiles) -> None:

@@ -85,7 +85,7 @@ def test_a_whole_flight(tmp_path: Path) -> None:
             manager.wait_for("WATCHDOG=1")
             timing = now().report.timing
             do(CommandName.LAND, FlightPhase.OBSERVE)
-            assert not now().status.armed
+            assert not now().status.autopilot.armed
             assert process.stop() == 0
         assert "STOPPING=1" in manager.listen()
     assert timing.rss_mb < 60.0

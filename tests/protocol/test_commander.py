@@ -20,7 +20,7 @@ from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code
 from companion.wire.messages import StatusReport
-from ground_fleet import LinkedVehicles, accept, linked_vehicles
+from ground_fleet import LinkedVehicles, accept, linked_vehicles, status_with
 from live_site import TOKEN, Served, served_live, until_served
 from tests.bench.monitor_load import SteadyFleet
 
@@ -184,7 +184,7 @@ class _Far:
     def report(self, vehicle_id: int, time_s: float) -> StatusReport:
         report = self._load.report(vehicle_id, time_s)
         slot = FlownSlot((1e200 if vehicle_id == 2 else 0.0, 4.0 * vehicle_id, 0.0))
-        return replace(report, status=replace(report.status, slot=slot))
+        return replace(report, status=status_with(report.status, slot=slot))
 
 
 @pytest.mark.parametrize(

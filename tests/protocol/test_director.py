@@ -86,7 +86,7 @@ def test_the_flight_ends_with_a_landing_when_a_pilot_takes_over_in_formation(fli
     assert "mode POSCTL was set by someone else" in message
     assert flight.director.land_all() is None
     assert flight.vehicles.received[-1] == (C.LAND, (1, 2))
-    assert not any(s.armed for s in flight.vehicles.statuses.values())
+    assert not any(s.autopilot.armed for s in flight.vehicles.statuses.values())
 
 
 @pytest.mark.parametrize("name", [C.LAND, C.RETURN])
@@ -106,7 +106,7 @@ def test_a_return_ends_when_all_have_landed_and_has_a_timeout_of_300_s(flight: D
     assert (home.patience_s, TimelineStep(command=C.LAND).patience_s) == (300.0, 30.0)
     assert TimelineStep(command=C.RETURN, timeout_s=7.0).patience_s == 7.0
     flight.director.fly([home])
-    assert not any(s.armed for s in flight.vehicles.statuses.values())
+    assert not any(s.autopilot.armed for s in flight.vehicles.statuses.values())
 
 
 def test_the_formation_is_closed_when_a_process_ends(flight: DirectedFlight) -> None:
@@ -122,7 +122,7 @@ def test_armed_vehicles_on_the_ground_are_disarmed_unless_silent(flight: Directe
     time.sleep(1.1)
     assert flight.director.land_all() is None
     assert flight.vehicles.received[-1] == (C.DISARM, (1,))
-    assert flight.vehicles.statuses[2].armed
+    assert flight.vehicles.statuses[2].autopilot.armed
 
 
 def test_the_landing_does_not_wait_for_a_vehicle_without_autopilot(flight: DirectedFlight) -> None:
@@ -207,7 +207,7 @@ def test_a_refused_leader_change_is_repeated_in_its_epoch(flight: DirectedFlight
         "lead not done within 0.7 s: vehicle 1: WRONG_PHASE: lead: not now;"
         " vehicle 2: not commanded before the new leaders have accepted"
     )
-    assert [flight.vehicles.statuses[i].role for i in (1, 2)] == [Role.FOLLOWER, Role.LEADER]
+    assert [flight.vehicles.statuses[i].leadership.role for i in (1, 2)] == [Role.FOLLOWER, Role.LEADER]
 
 
 def test_the_flight_ends_when_a_vehicle_leaves_formation_after_a_leader_change(flight: DirectedFlight) -> None:

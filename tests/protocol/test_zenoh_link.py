@@ -32,7 +32,17 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic, TrafficSample
-from companion.types.status import Status
+from companion.types.status import (
+    AgentIdentity,
+    AutopilotReport,
+    ControlReport,
+    FormationReport,
+    LeadershipReport,
+    MotionReport,
+    NeighbourReport,
+    SafetyReport,
+    Status,
+)
 from companion.wire.keys import abort_key, command_key, peer_key, status_key, target_key, traffic_key
 from companion.wire.messages import WIRE_VERSION, Percentiles, StatusReport, Timing, encode, encode_peer
 from ground_fleet import PACKET
@@ -51,11 +61,20 @@ ZERO = (0.0, 0.0, 0.0)
 NO_TIME = Percentiles(0.0, 0.0, 0.0)
 REPORT = StatusReport(
     Status(
-        1, 7, FLEET.name, 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, ZERO, ZERO, 0.02,
-        0.5, ZERO, Role.LEADER, 0, 1, None, None, (), FlownSlot(ZERO), ZERO, (), {}, None,
+        agent=AgentIdentity(vehicle_id=1, session=7, fleet=FLEET.name, formation_hash=5, law="weighted"),
+        phase=FlightPhase.HOLD,
+        autopilot=AutopilotReport(mode_name="AUTO.LOITER", armed=True, landed=LandedState.IN_AIR),
+        motion=MotionReport(position_enu_m=ZERO, velocity_enu_m_s=ZERO, state_age_s=0.02),
+        control=ControlReport(hover_thrust_norm=0.5, disturbance_enu_m_s2=ZERO),
+        leadership=LeadershipReport(role=Role.LEADER, epoch=0, prc=1, leader_beacon=None, leader_beacon_age_s=None),
+        neighbourhood=NeighbourReport(neighbours=()),
+        formation=FormationReport(slot=FlownSlot(ZERO), reference_enu_m=ZERO),
+        safety=SafetyReport(flags=()),
+        rejected={},
+        last_event=None,
     ),
     Timing(50.0, 1, 0, NO_TIME, NO_TIME, 5.0, 49.0),
-)  # fmt: skip
+)
 
 
 CONTENT_OF: dict[CommandName, Content] = {
@@ -425,7 +444,7 @@ def test_traffic_reaches_every_vehicle_and_malformed_samples_are_counted(port: i
         until(lambda: len(known(1)) == len(known(2)) == 2 and leader.rejected, each=publish)
     for newest in (known(1), known(2)):
         assert newest["4b1805"] == TrafficSample((5.0, 6.0, 7.0), (1.0, 0.0, 0.0), 0.5, 2.0)
-        assert newest["4b1806"].position_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+        assert newest["4b1806"].motion.position_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
     assert set(leader.rejected) == {Code.TRAFFIC_MALFORMED}
 
 
@@ -545,7 +564,7 @@ def test_the_ground_connects_no_vehicles_with_each_other(port: int, other_port: 
             second.link.publish_status(second_report)
             first.link.publish_peer(PACKET)
             second.tick()
-            reported.update(report.status.vehicle_id for report in ground.drain())
+            reported.update(report.status.agent.vehicle_id for report in ground.drain())
 
         until(lambda: reported == {1, 2}, each=publish)
         end_s = time.monotonic() + 1.0

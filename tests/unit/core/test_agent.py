@@ -31,6 +31,7 @@ from companion.types.notices import Code, Notice
 from companion.types.peers import ReceivedPeerPacket
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import Vector3
+from ground_fleet import status_with
 from one_agent import FLEET, POINT, AgentFlight
 
 
@@ -256,7 +257,7 @@ def test_a_status_comes_ten_times_a_second() -> None:
     flight = AgentFlight()
     statuses = [status for _ in range(100) if (status := flight.tick().status)]
     assert len(statuses) == 20
-    assert replace(statuses[-1], state_age_s=0.0).phase is FlightPhase.OBSERVE
+    assert status_with(statuses[-1], state_age_s=0.0).phase is FlightPhase.OBSERVE
 
 
 # ---------------------------------------------------------------- pilot take-over, stale telemetry
@@ -326,18 +327,18 @@ def test_a_peer_that_lands_or_is_flown_by_its_pilot_is_no_neighbour(phase: Fligh
     flight = AgentFlight().fly_to(FlightPhase.HOLD)
     flight.peer_phase = phase
     statuses = [status for _ in range(20) if (status := flight.tick().status)]
-    assert statuses[-1].neighbours == ()
+    assert statuses[-1].neighbourhood.neighbours == ()
 
 
 def test_the_status_has_the_weights_and_the_ages_of_the_neighbours() -> None:
     flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     status = [status for _ in range(20) if (status := flight.tick().status)][-1]
-    assert len(status.neighbours) == 1
-    assert status.weights == (1.0,)
-    assert 0.0 <= status.neighbour_ages_s[0] <= FLEET.peers.max_age_s
+    assert len(status.neighbourhood.neighbours) == 1
+    assert status.neighbourhood.weights == (1.0,)
+    assert 0.0 <= status.neighbourhood.neighbour_ages_s[0] <= FLEET.peers.max_age_s
     flight.peer_phase = FlightPhase.LAND
     alone = [status for _ in range(20) if (status := flight.tick().status)][-1]
-    assert (alone.weights, alone.neighbour_ages_s) == ((), ())
+    assert (alone.neighbourhood.weights, alone.neighbourhood.neighbour_ages_s) == ((), ())
 
 
 def test_a_landing_is_requested_again_when_the_state_is_stale() -> None:
@@ -423,7 +424,7 @@ def test_a_vehicle_that_may_lead_ignores_the_rft_until_it_is_leader() -> None:
     one, other = (AgentFlight(fleet=MAY_LEAD, reference=r).fly_to(FlightPhase.FORMATION) for r in (POINT, EIGHT))
     assert one.targets == other.targets
     status = next(status for _ in range(10) if (status := one.tick().status))
-    assert status.reference_enu_m is None
+    assert status.formation.reference_enu_m is None
 
 
 def test_a_commanded_reference_is_in_packets_and_status() -> None:
@@ -446,9 +447,9 @@ def test_a_commanded_reference_is_in_packets_and_status() -> None:
     assert flight.outbox.peer_packet.reference == HeldReference(1, 1, 36.0)
     assert any(event.text.startswith("reference 0 -> 1 (hand-over of ") for event in flight.events)
     status = next(status for _ in range(10) if (status := flight.tick().status))
-    assert status.reference == HeldReference(1, 1, 36.0)
-    assert status.reference_s == pytest.approx(flight.peer_reference_s, abs=0.03)
-    assert status.reference_enu_m is None  # it follows
+    assert status.formation.reference == HeldReference(1, 1, 36.0)
+    assert status.formation.reference_s == pytest.approx(flight.peer_reference_s, abs=0.03)
+    assert status.formation.reference_enu_m is None  # it follows
 
 
 def test_leadership_is_refused_when_the_reference_differs_from_the_leader_s() -> None:
@@ -479,7 +480,7 @@ def test_a_leader_leads_in_when_its_reference_is_away_from_the_fleet() -> None:
     assert flight.tick(CommandName.LEAD, lead=Lead((2,), 1)).replies[0].accepted
     assert flight.outbox.status is not None
     statuses = [flight.outbox.status, *(status for _ in range(500) if (status := flight.tick().status))]
-    references = [status.reference_enu_m for status in statuses]
+    references = [status.formation.reference_enu_m for status in statuses]
     assert references[0] == pytest.approx((0.0, 0.0, 1.0), abs=1e-3)  # where the fleet is
     assert references[-1] == (3.5, 0.0, 1.0)
     steps_m = [dist(a, b) for a, b in pairwise(references) if a and b]
@@ -507,8 +508,8 @@ def test_a_commanded_leader_continues_the_rft_in_the_same_tick() -> None:
     assert outbox.events == (Notice(Code.ROLE_CHANGED, "follower -> leader in epoch 1 (commanded)"),)
     assert outbox.status is not None
     expected = trajectory_of(EIGHT)(packet.leader.beacon.reference_s).position_enu_m
-    assert outbox.status.reference_enu_m == pytest.approx(expected)
-    assert (outbox.status.role, outbox.status.epoch) == (Role.LEADER, 1)
+    assert outbox.status.formation.reference_enu_m == pytest.approx(expected)
+    assert (outbox.status.leadership.role, outbox.status.leadership.epoch) == (Role.LEADER, 1)
     flight.tick()
     assert flight.outbox.peer_packet is not None
     assert flight.outbox.peer_packet.leader.beacon is not None

@@ -39,7 +39,7 @@ def after(flight: AgentFlight, seconds: float) -> Seen:
 
 
 def nearest_of(status: Status) -> NearestVehicle:
-    nearest = status.separation.nearest
+    nearest = status.safety.separation.nearest
     assert nearest is not None
     return nearest
 
@@ -47,12 +47,12 @@ def nearest_of(status: Status) -> NearestVehicle:
 def test_traffic_changes_attitude_and_acceleration_and_the_status_shows_it() -> None:
     flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     alone = after(flight, 2.0)
-    assert alone.status.separation.changed_m_s2 == 0.0
+    assert alone.status.safety.separation.changed_m_s2 == 0.0
     flight.traffic["ABCDEF"] = FROM_THE_NORTH
     beside = after(flight, 1.0)
     assert beside.acceleration_enu_m_s2[1] < alone.acceleration_enu_m_s2[1] - 0.3
     assert abs(beside.target.roll_rad - alone.target.roll_rad) > 0.03
-    separation, nearest = beside.status.separation, nearest_of(beside.status)
+    separation, nearest = beside.status.safety.separation, nearest_of(beside.status)
     assert separation.changed_m_s2 == pytest.approx(-beside.acceleration_enu_m_s2[1], abs=0.05)
     assert nearest.name == "ABCDEF"
     assert nearest.distance_m == pytest.approx(1.6)
@@ -79,11 +79,11 @@ APART: Vector3 = (0.0, 0.0, 1.0)  # as their slots are
 
 def test_a_peer_nearer_than_separation_is_flagged_and_shown_while_it_is_there() -> None:
     flight = AgentFlight().fly_to(FlightPhase.FORMATION)
-    assert VIOLATED not in after(flight, 1.0).status.flags
+    assert VIOLATED not in after(flight, 1.0).status.safety.flags
     flight.peer_position = TOO_NEAR
     near = after(flight, 1.0)
-    nearest, separation = nearest_of(near.status), near.status.separation
-    assert VIOLATED in near.status.flags
+    nearest, separation = nearest_of(near.status), near.status.safety.separation
+    assert VIOLATED in near.status.safety.flags
     assert separation.violated
     assert nearest.name == "1"
     assert nearest.distance_m == pytest.approx(0.8)
@@ -93,8 +93,8 @@ def test_a_peer_nearer_than_separation_is_flagged_and_shown_while_it_is_there() 
     assert flight.agent.phase is FlightPhase.FORMATION
     flight.peer_position = APART
     apart = after(flight, 1.0).status
-    assert VIOLATED not in apart.flags
-    assert not apart.separation.violated
+    assert VIOLATED not in apart.safety.flags
+    assert not apart.safety.separation.violated
     assert nearest_of(apart).distance_m == pytest.approx(1.5)
 
 
@@ -123,8 +123,8 @@ def test_a_peer_too_near_is_flagged_also_while_another_vehicle_lacks_more_of_its
     flight.traffic["ABCDEF"] = TrafficSample((-1.5, 3.0, 1.0), ZERO3, error_m=5.0)
     near = after(flight, 1.0)
     assert nearest_of(near.status).name == "ABCDEF"
-    assert near.status.separation.violated
-    assert VIOLATED in near.status.flags
+    assert near.status.safety.separation.violated
+    assert VIOLATED in near.status.safety.flags
 
 
 def test_a_vehicle_too_near_is_pushed_away_while_the_agent_hands_over() -> None:
@@ -141,4 +141,4 @@ def test_a_vehicle_too_near_is_pushed_away_while_the_agent_hands_over() -> None:
         assert near.target.pitch_rad < -0.1
         assert nearest_of(near.status).name == "1"
         assert nearest_of(near.status).required_m == pytest.approx(1.15, abs=0.01)  # it makes way alone
-        assert VIOLATED in near.status.flags
+        assert VIOLATED in near.status.safety.flags

@@ -18,7 +18,7 @@ def reported_hover(flight: AgentFlight) -> float:
     for _ in range(10):
         outbox = flight.tick()
         if outbox.status:
-            return outbox.status.hover_thrust_norm
+            return outbox.status.control.hover_thrust_norm
     raise AssertionError("no status")
 
 
@@ -92,7 +92,7 @@ def reported_step_deg(flight: AgentFlight) -> float:
     """In the next status."""
     for _ in range(10):
         if status := flight.tick().status:
-            return status.largest_step_deg
+            return status.control.largest_step_deg
     raise AssertionError("no status")
 
 

@@ -32,7 +32,7 @@ class Doubled(AgentFlight):
     def flags(self) -> tuple[HealthFlag, ...]:
         """Those of the newest status within half a second."""
         statuses = [status for _ in range(25) if (status := self.tick().status)]
-        return statuses[-1].flags
+        return statuses[-1].safety.flags
 
 
 @pytest.mark.parametrize("double_id", [OWN_ID, PEER_ID], ids=["own id", "id of a peer"])

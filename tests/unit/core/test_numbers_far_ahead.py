@@ -63,11 +63,11 @@ def test_repeated_lead_commands_to_one_vehicle_lock_nothing(phase: FlightPhase, 
     for _ in range(150):
         fleet.tick()
         for i, status in fleet.statuses.items():
-            assert set(status.peers) == fleet.agents.keys() - {i}
-    lead = Lead((1,), next_epoch(status.epoch for status in fleet.statuses.values()))
+            assert set(status.neighbourhood.peers) == fleet.agents.keys() - {i}
+    lead = Lead((1,), next_epoch(status.leadership.epoch for status in fleet.statuses.values()))
     assert all(reply.accepted for reply in fleet.command(C.LEAD, lead).values())
     ticks(fleet, 50)
-    assert {status.epoch for status in fleet.statuses.values()} == {lead.epoch}
+    assert {status.leadership.epoch for status in fleet.statuses.values()} == {lead.epoch}
 
 
 @pytest.mark.parametrize("commands", [1, 2, 3])
@@ -79,7 +79,7 @@ def test_a_formation_number_far_ahead_at_one_vehicle_locks_nothing(commands: int
     change = change_to(slots_of(fleet, 1.5), list(fleet.statuses.values()), 1.0)
     assert all(reply.accepted for reply in fleet.command(C.FORMATION, change).values())
     ticks(fleet, 10)
-    assert {status.slot.formation for status in fleet.statuses.values()} == {change.number}
+    assert {status.formation.slot.formation for status in fleet.statuses.values()} == {change.number}
 
 
 def test_a_reference_far_ahead_that_waits_at_one_vehicle_locks_nothing() -> None:
@@ -91,7 +91,7 @@ def test_a_reference_far_ahead_that_waits_at_one_vehicle_locks_nothing() -> None
     assert replies[1].accepted
     assert replies[WRONG].accepted
     ticks(fleet, 10)
-    held = [fleet.statuses[i].reference for i in (1, WRONG)]
+    held = [fleet.statuses[i].formation.reference for i in (1, WRONG)]
     assert [reference.waiting for reference in held if reference] == [change.number, change.number]
 
 
@@ -105,7 +105,7 @@ def test_a_forged_mission_time_moves_no_clock(phase: FlightPhase) -> None:
         forged[i] = Hostile([with_mission_time(packet, fleet.now_s, 9e5) for packet in others])
     fleet.tick(forged)
     for _ in range(100):
-        assert all(status.reference_s < 100.0 for status in fleet.statuses.values())
+        assert all(status.formation.reference_s < 100.0 for status in fleet.statuses.values())
         fleet.tick()
 
 

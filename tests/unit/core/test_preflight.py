@@ -129,7 +129,7 @@ def test_parameters_are_read_in_turn_and_never_set(kind: AutopilotKind) -> None:
 def lacks(flight: FlightOnBytes) -> list[Code]:
     flight.ticks(0.2)  # until the next status
     assert flight.status is not None
-    return codes_of(flight.status.lacks)
+    return codes_of(flight.status.safety.lacks)
 
 
 @BOTH
@@ -168,10 +168,10 @@ def test_a_warning_of_the_audit_stays_in_the_status_on_the_ground(kind: Autopilo
     flight.ticks(1.0)
     assert flight.status
     code = Code.FENCE_ACTION_UNSAFE if kind is PX4 else Code.AUTOPILOT_FENCE_OFF
-    assert [notice.code for notice in flight.status.warnings] == [code]
-    assert flight.status.lacks == ()
+    assert [notice.code for notice in flight.status.safety.warnings] == [code]
+    assert flight.status.safety.lacks == ()
     flight.fly_to(P.HOLD)
-    assert flight.status.warnings == ()
+    assert flight.status.safety.warnings == ()
 
 
 # ---------------------------------------------------------------- survey of the telemetry

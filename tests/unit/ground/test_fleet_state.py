@@ -5,7 +5,6 @@ from __future__ import annotations
 from math import inf, pi, sqrt
 
 import pytest
-from msgspec.structs import replace
 
 from companion.ground.fleet_state import MOST_VEHICLES, SILENT_AFTER_S, FleetState, fold, vehicles_at
 from companion.types.autopilot import LandedState
@@ -15,9 +14,9 @@ from companion.types.status import Status
 from companion.types.values import Vector3
 from companion.wire.messages import StatusReport
 from ground_fleet import STATUS as REPORTED_STATUS
-from ground_fleet import TIMING
+from ground_fleet import TIMING, status_with
 
-STATUS = replace(
+STATUS = status_with(
     REPORTED_STATUS,
     position_enu_m=(0.0, 0.0, 1.0),
     velocity_enu_m_s=(0.0, 0.0, 0.0),
@@ -29,11 +28,11 @@ STATUS = replace(
 
 def leader(reference_enu_m: Vector3 = (1.0, 0.0, 1.0), **changes: object) -> Status:
     changes = {"role": Role.LEADER, "prc": 1, "reference_enu_m": reference_enu_m} | changes
-    return replace(STATUS, **changes)  # type: ignore[arg-type]
+    return status_with(STATUS, **changes)
 
 
 def follower(vehicle_id: int, **changes: object) -> Status:
-    return replace(STATUS, vehicle_id=vehicle_id, **changes)  # type: ignore[arg-type]
+    return status_with(STATUS, vehicle_id=vehicle_id, **changes)
 
 
 def received(*statuses: Status, at_s: float = 100.0, state: FleetState | None = None) -> FleetState:
@@ -125,7 +124,7 @@ def test_unknown_vehicles_fill_no_memory_and_displace_no_vehicle() -> None:
     for i in range(2 * MOST_VEHICLES):
         state = received(leader(fleet=f"f{i}"), at_s=100.1, state=state)
     assert len(state.vehicles) == MOST_VEHICLES
-    assert (leader().fleet, leader().vehicle_id) in state.vehicles
+    assert (leader().agent.fleet, leader().agent.vehicle_id) in state.vehicles
     state = received(leader(fleet="late"), at_s=102.0, state=state)
     assert len(state.vehicles) == MOST_VEHICLES
     assert ("late", 1) in state.vehicles

@@ -1,7 +1,6 @@
 """takeoff and return are for all vehicles or none, by their reports."""
 
 import pytest
-from msgspec.structs import replace
 
 from companion.ground.answers import AnswerKind, Outcome
 from companion.ground.goals import advise_divided_fleet, check_all
@@ -9,18 +8,18 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
-from ground_fleet import directed_status
+from ground_fleet import directed_status, status_with
 
 P, C, F = FlightPhase, CommandName, HealthFlag
 TOO_CLOSE = Notice(Code.RETURN_PATH_TOO_CLOSE, "separation: 0.4 m")
 
 
 def report(vehicle_id: int, phase: FlightPhase, **more: object) -> Status:
-    return replace(directed_status(vehicle_id), phase=phase, **({"flags": ()} | more))  # type: ignore[arg-type]
+    return status_with(directed_status(vehicle_id), phase=phase, **({"flags": ()} | more))
 
 
 def check(name: CommandName, *reports: Status) -> dict[int, Outcome]:
-    return check_all(name, (1, 2), {said.vehicle_id: said for said in reports}, "anna", 3.0)
+    return check_all(name, (1, 2), {said.agent.vehicle_id: said for said in reports}, "anna", 3.0)
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ def test_vehicles_accept_at_the_largest_speed_what_was_computed_from_their_repor
     flown = dict(zip(ids, slots_of(SHAPES[before], count, SPACING_M, radians(before_deg)), strict=True))
     sent = [round_outbox(Outbox(status=reported(i, slot=FlownSlot(flown[i])))).status for i in ids]
     statuses = [status for status in sent if status]
-    told = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
+    told = {status.agent.vehicle_id: status.formation.slot.position_enu_m for status in statuses}
     change = change_to(
         assign_slots(told, slots_of(SHAPES[after], count, SPACING_M, radians(after_deg))), statuses, speed_m_s
     )
@@ -43,5 +43,5 @@ def test_reported_slots_at_the_least_distance_may_be_turned(
     ids = range(1, count + 1)
     flown = dict(zip(ids, slots_of(SHAPES[shape], count, SPACING_M, radians(before_deg)), strict=True))
     sent = [round_outbox(Outbox(status=reported(i, slot=FlownSlot(flown[i])))).status for i in ids]
-    turned = {s.vehicle_id: rotated(s.slot.position_enu_m, radians(by_deg), 1.0) for s in sent if s}
+    turned = {s.agent.vehicle_id: rotated(s.formation.slot.position_enu_m, radians(by_deg), 1.0) for s in sent if s}
     assert refusal_of(turned, SPACING_M, has_height=True) is None

@@ -12,7 +12,7 @@ GOOD = M.ESTIMATOR_ATTITUDE | M.ESTIMATOR_VELOCITY_HORIZ | M.ESTIMATOR_VELOCITY_
 
 
 def flags(flight: FailingFlight) -> set[HealthFlag]:
-    return set(flight.peers.reports[-1].status.flags)
+    return set(flight.peers.reports[-1].status.safety.flags)
 
 
 def estimator_status(flight: FailingFlight, bits: int, error_m: float = 0.2) -> None:

@@ -155,4 +155,4 @@ def test_a_field_at_an_edge_of_its_type_stops_no_agent_in_formation(formation: H
     for _ in range(50):
         fleet.tick()
     state = fleet.statuses[2]
-    assert all(map(isfinite, (*state.position_enu_m, *state.velocity_enu_m_s)))
+    assert all(map(isfinite, (*state.motion.position_enu_m, *state.motion.velocity_enu_m_s)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
+from common import with_fields
 from companion.monitor.events import EVENTS_KEPT, EventLog, compare_reports, describe_reply
 from companion.types.commands import CommandReply
 from companion.types.flight import FlightPhase
@@ -35,7 +36,7 @@ def test_a_change_of_phase_is_seen_without_its_event() -> None:
 
 
 def test_a_restart_of_the_agent_is_an_event() -> None:
-    assert [code for _, code, _ in compare_reports(STATUS, replace(STATUS, session=2))] == ["AGENT_STARTED"]
+    assert [code for _, code, _ in compare_reports(STATUS, with_fields(STATUS, session=2))] == ["AGENT_STARTED"]
 
 
 def test_the_log_gives_what_is_newer_and_forgets_the_oldest() -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from msgspec.structs import replace
 
 from companion.monitor.api import CommandRequest, Preview
 from companion.monitor.command_requests import fleet_action, preview_of
 from companion.types.status import Status
+from ground_fleet import status_with
 from tests.bench.monitor_load import steady_fleet
 
 LOAD = steady_fleet("load", 4)
@@ -22,10 +22,10 @@ def preview(name: str, content: dict[str, Any], statuses: dict[int, Status] = ST
 
 def test_paths_lead_from_the_present_slots_to_the_new_ones_in_the_fleet_frame() -> None:
     found = preview("formation", {"shape": "line", "spacing_m": 5.0})
-    reference_enu_m = STATUSES[1].reference_enu_m
+    reference_enu_m = STATUSES[1].formation.reference_enu_m
     assert reference_enu_m is not None
     for path in found.paths:
-        offset = STATUSES[path.vehicle_id].slot.position_enu_m
+        offset = STATUSES[path.vehicle_id].formation.slot.position_enu_m
         assert path.from_enu_m == pytest.approx([a + b for a, b in zip(reference_enu_m, offset, strict=True)], abs=2e-3)
     assert sorted(round(p.to_enu_m[1] - reference_enu_m[1], 2) for p in found.paths) == [-7.5, -2.5, 2.5, 7.5]
     assert found.refused == ""
@@ -47,10 +47,10 @@ def test_a_formation_needs_a_report_of_every_vehicle() -> None:
 
 
 def test_before_a_flight_slots_are_about_the_vehicles() -> None:
-    on_ground = {i: replace(status, reference_enu_m=None) for i, status in STATUSES.items()}
+    on_ground = {i: status_with(status, reference_enu_m=None) for i, status in STATUSES.items()}
     found = preview("formation", {"shape": "line", "spacing_m": 5.0}, on_ground)
     middle = [sum(p.to_enu_m[axis] for p in found.paths) / 4 for axis in range(3)]
-    present = [sum(s.position_enu_m[axis] for s in on_ground.values()) / 4 for axis in range(3)]
+    present = [sum(s.motion.position_enu_m[axis] for s in on_ground.values()) / 4 for axis in range(3)]
     assert middle == pytest.approx(present, abs=0.01)
 
 

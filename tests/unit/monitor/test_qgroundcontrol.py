@@ -22,7 +22,7 @@ from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.status import Status
 from companion.wire.messages import StatusReport
-from ground_fleet import TIMING, leader, reported
+from ground_fleet import TIMING, leader, reported, status_with
 
 FIELD = load_fleet(ROOT / "config/fleets/pair.yaml")
 
@@ -70,7 +70,7 @@ def feed(station: GroundStation) -> Iterator[FleetFeed]:
 
 
 def of_fleet(status: Status) -> Status:
-    return replace(status, fleet=FIELD.name)
+    return status_with(status, fleet=FIELD.name)
 
 
 def by_kind(messages: list[common.MAVLink_message], system: int) -> dict[str, common.MAVLink_message]:
@@ -273,7 +273,7 @@ def test_a_fleet_without_a_geodetic_origin_has_local_positions(station: GroundSt
 
 
 def test_another_fleet_is_not_sent(feed: FleetFeed, station: GroundStation) -> None:
-    feed.take(replace(leader(), fleet="strangers"), 100.0)
+    feed.take(status_with(leader(), fleet="strangers"), 100.0)
     feed.step(100.0)
     assert station.received() == []
     assert feed.foreign == 1

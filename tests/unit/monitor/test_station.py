@@ -17,7 +17,7 @@ REPORTS = [
     (BEGIN_S + k / 5, StatusReport(status, TIMING))
     for k in range(2001)
     for status in (leader(), reported(2))
-    if status.vehicle_id == 1 or k / 5 <= LOST_S
+    if status.agent.vehicle_id == 1 or k / 5 <= LOST_S
 ]
 HAPPENINGS = [Happening(BEGIN_S + 10.0, "platoon", 1, "command", "hold", "anna: hold")]
 

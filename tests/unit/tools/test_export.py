@@ -15,8 +15,8 @@ from companion.types.autopilot import PositionError
 from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code, Notice
 from companion.types.status import NO_STATE_AGE_S
-from companion.wire.messages import StatusReport
-from ground_fleet import DIRECTED_TIMING, directed_status
+from companion.wire.messages import FlatReport, StatusReport, flat_report
+from ground_fleet import DIRECTED_TIMING, directed_status, status_with
 from recordings import HEADER, RecordingFile
 
 DECISION_1 = DecisionRecord(
@@ -78,7 +78,9 @@ def test_decisions_have_units_and_empty_cells(tmp_path: Path, capsys: pytest.Cap
 def test_position_and_velocity_are_empty_before_the_first_position(tmp_path: Path) -> None:
     file = RecordingFile(tmp_path / "a.mcap", HEADER)
     file.write(DECISION, 101.0, replace(DECISION_1, position_enu_m=None, velocity_enu_m_s=None))
-    file.write(STATUS, 101.0, StatusReport(replace(directed_status(1), state_age_s=NO_STATE_AGE_S), DIRECTED_TIMING))
+    file.write(
+        STATUS, 101.0, StatusReport(status_with(directed_status(1), state_age_s=NO_STATE_AGE_S), DIRECTED_TIMING)
+    )
     file.close()
     assert main(["export", str(tmp_path)]) == 0
     (decision,) = rows(tmp_path / "csv" / "vehicle-1_decision.csv")
@@ -124,16 +126,16 @@ def test_a_status_is_flat(tmp_path: Path) -> None:
 
 
 def test_cells_of_nested_values() -> None:
-    table = Table(StatusReport)
+    table = Table(FlatReport)
     beacon, note = LeaderBeacon(3, 1, 2), Notice(Code.PEER_STALE, "text")
-    full = replace(
+    full = status_with(
         directed_status(2),
         leader_beacon=beacon,
         last_event=note,
         rejected={"A": 2, "B": 3},
         position_error=PositionError(0.1, 0.2),
     )
-    cells = dict(zip(table.names, table.cells(StatusReport(full, DIRECTED_TIMING)), strict=True))
+    cells = dict(zip(table.names, table.cells(flat_report(StatusReport(full, DIRECTED_TIMING))), strict=True))
     assert cells["status_leader_beacon_leader_id"] == 3
     assert cells["status_leader_beacon_heading_rate_rad_s"] == 0.0
     assert cells["status_last_event_code"] == "PEER_STALE"

@@ -27,9 +27,20 @@ from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import EAST, FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender, TargetSample
-from companion.types.status import Status
+from companion.types.status import (
+    AgentIdentity,
+    AutopilotReport,
+    ControlReport,
+    FormationReport,
+    LeadershipReport,
+    MotionReport,
+    NeighbourReport,
+    SafetyReport,
+    Status,
+)
 from companion.types.values import FLEET_NAME, MAX_CHANGE_S, MAX_COORDINATE_M, MAX_MISSION_S, MAX_NUMBER
 from companion.wire.messages import (
+    STATUS_FORM,
     WIRE_VERSION,
     Percentiles,
     StatusReport,
@@ -43,6 +54,7 @@ from companion.wire.messages import (
     encode,
     encode_peer,
 )
+from ground_fleet import status_with
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 vectors = st.tuples(numbers, numbers, numbers)
@@ -82,7 +94,7 @@ percentiles = st.builds(Percentiles, numbers, numbers, numbers)
 reports = st.builds(
     StatusReport,
     st.builds(
-        Status,
+        STATUS_FORM.type,
         vehicle_id=st.integers(1, 250),
         session=counts,
         fleet=st.from_regex(FLEET_NAME[:-1], fullmatch=True),
@@ -108,7 +120,7 @@ reports = st.builds(
         flags=st.lists(st.sampled_from(HealthFlag), max_size=3).map(tuple),
         rejected=st.dictionaries(texts, counts, max_size=3),
         last_event=st.none() | notices,
-    ),
+    ).map(STATUS_FORM.whole),
     st.builds(Timing, numbers, counts, counts, percentiles, percentiles, numbers, numbers),
 )
 leads = st.builds(Lead, st.lists(ids, max_size=5).map(tuple), st.integers(0, MAX_EPOCH))
@@ -163,14 +175,20 @@ PACKET = PeerPacket(
 )
 REPORT = StatusReport(
     Status(
-        3, 1, "platoon", 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, (1.0, 2.0, 3.0),
-        (0.0, 0.0, 0.0), 0.02, 0.49, (1.0, -2.0, 0.0), Role.FOLLOWER, 7, 2, None, None, (2, 4),
-        FlownSlot((-3.0, 0.0, 0.0)), None,
-        (HealthFlag.OUTSIDE_FENCE,),
-        {"malformed": 3}, Notice(Code.PHASE_CHANGED, "takeoff -> hold"),
+        agent=AgentIdentity(vehicle_id=3, session=1, fleet="platoon", formation_hash=5, law="weighted"),
+        phase=FlightPhase.HOLD,
+        autopilot=AutopilotReport(mode_name="AUTO.LOITER", armed=True, landed=LandedState.IN_AIR),
+        motion=MotionReport(position_enu_m=(1.0, 2.0, 3.0), velocity_enu_m_s=(0.0, 0.0, 0.0), state_age_s=0.02),
+        control=ControlReport(hover_thrust_norm=0.49, disturbance_enu_m_s2=(1.0, -2.0, 0.0)),
+        leadership=LeadershipReport(role=Role.FOLLOWER, epoch=7, prc=2, leader_beacon=None, leader_beacon_age_s=None),
+        neighbourhood=NeighbourReport(neighbours=(2, 4)),
+        formation=FormationReport(slot=FlownSlot((-3.0, 0.0, 0.0)), reference_enu_m=None),
+        safety=SafetyReport(flags=(HealthFlag.OUTSIDE_FENCE,)),
+        rejected={"malformed": 3},
+        last_event=Notice(Code.PHASE_CHANGED, "takeoff -> hold"),
     ),
     Timing(50.0, 3000, 0, Percentiles(1.0, 2.0, 3.0), Percentiles(4.0, 5.0, 6.0), 5.1, 49.0),
-)  # fmt: skip
+)
 DECODERS = {
     "peer packet": (decode_peer, encode_peer(PACKET)),
     "status report": (decode_report, encode(REPORT)),
@@ -324,7 +342,7 @@ def test_content_out_of_bounds_is_malformed(content: Lead | ReferenceChange) -> 
 def test_status_out_of_bounds_is_malformed(changes: dict[str, object]) -> None:
     assert decode_report(encode(REPORT)) == REPORT
     with pytest.raises(WireError, match="malformed status report"):
-        decode_report(encode(replace(REPORT, status=replace(REPORT.status, **changes))))
+        decode_report(encode(replace(REPORT, status=status_with(REPORT.status, **changes))))
 
 
 def test_reference_command_has_the_description_of_a_file() -> None:

@@ -203,8 +203,8 @@ def test_the_status_has_the_holder_of_command_and_the_peers() -> None:
         flight.tick()
     flight.tick(C.PREPARE)
     status = next(status for _ in range(10) if (status := flight.tick().status))
-    assert (status.holder, status.command_number, status.session) == ("anna@ground", 1, SESSION)
-    assert (status.peers, status.battery_percent) == ((1,), 90.0)
+    assert (status.command.holder, status.command.command_number, status.agent.session) == ("anna@ground", 1, SESSION)
+    assert (status.neighbourhood.peers, status.autopilot.battery_percent) == ((1,), 90.0)
 
 
 def test_abort_is_executed_when_telemetry_is_stale() -> None:
@@ -247,4 +247,4 @@ def test_arming_is_refused_beside_another_vehicle() -> None:
     assert outcome(reply) == (False, Code.VEHICLE_TOO_CLOSE)
     assert "vehicle 1 is 0.40 m from vehicle 2; expected at least separation_m, 1 m" in reply.reason
     status = next(status for _ in range(10) if (status := flight.tick().status))
-    assert Code.VEHICLE_TOO_CLOSE in codes_of(status.lacks)
+    assert Code.VEHICLE_TOO_CLOSE in codes_of(status.safety.lacks)

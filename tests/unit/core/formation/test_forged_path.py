@@ -36,7 +36,7 @@ def fleet_in_hold(offset_m: float) -> HostileFleet:
 
 
 def longest_path_s(fleet: HostileFleet) -> float:
-    return max(status.slot.moves_for_s for status in fleet.statuses.values())
+    return max(status.formation.slot.moves_for_s for status in fleet.statuses.values())
 
 
 def with_duration(packet: PeerPacket, moves_for_s: float) -> PeerPacket:

@@ -137,7 +137,7 @@ def test_a_flag_in_the_first_moments_of_a_landing_or_return_does_not_end_it(
     flight.autopilot.up_m = 60.0  # above the fence
     flight.ticks(0.1)
     assert flight.status is not None
-    assert F.OUTSIDE_FENCE in flight.status.flags
+    assert F.OUTSIDE_FENCE in flight.status.safety.flags
     assert len(flight.autopilot.targets) > sent
     flight.ticks(1.0)
     assert flight.agent.phase is {C.LAND: P.LAND, C.RETURN: P.RETURN}[name]

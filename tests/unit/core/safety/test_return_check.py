@@ -284,4 +284,4 @@ def test_formation_does_not_wait_for_a_returning_vehicle() -> None:
     flight = AgentFlight().fly_to(P.FORMATION)
     flight.peer_phase = P.RETURN
     statuses = [status for _ in range(20) if (status := flight.tick().status)]
-    assert statuses[-1].neighbours == ()
+    assert statuses[-1].neighbourhood.neighbours == ()

@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from msgspec.structs import replace
 
 from common import ROOT
 from companion.config.file import ConfigError
 from companion.types.autopilot import AutopilotKind, LandedState
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.status import Status
-from ground_fleet import WHOLE, DirectedFlight, directed_status
+from ground_fleet import WHOLE, DirectedFlight, directed_status, status_with
 from sitl.cli.flights import FLY, flight_options
 from sitl.flight.external import READY_FOR_S, ReachedVehicle, Readiness, load_external, vehicles_of
 from sitl.flight.files import estimated_path, write_files
@@ -137,17 +136,17 @@ def test_only_the_agents_ports_must_be_free() -> None:
 
 
 def known(*statuses: Status) -> Callable[[int], Status | None]:
-    return {status.vehicle_id: status for status in statuses}.get
+    return {status.agent.vehicle_id: status for status in statuses}.get
 
 
-READY_1, READY_2 = directed_status(1), replace(directed_status(2), position_enu_m=(-3.0, 0.0, 0.0))
+READY_1, READY_2 = directed_status(1), status_with(directed_status(2), position_enu_m=(-3.0, 0.0, 0.0))
 
 
 def test_readiness_requires_all_vehicles_ready_for_some_time(scenario: Scenario) -> None:
     readiness, both = Readiness(scenario), known(READY_1, READY_2)
     assert not readiness.is_reached(both, 0.0)
     assert readiness.lacking == ""
-    assert not readiness.is_reached(known(READY_1, replace(READY_2, flags=(HealthFlag.POSITION_STALE,))), 1.0)
+    assert not readiness.is_reached(known(READY_1, status_with(READY_2, flags=(HealthFlag.POSITION_STALE,))), 1.0)
     assert readiness.lacking == "vehicle 2: POSITION_STALE"
     assert not readiness.is_reached(both, 1.5)
     assert not readiness.is_reached(both, READY_FOR_S + 1.4)
@@ -158,13 +157,13 @@ def test_each_reason_is_reported_once(scenario: Scenario) -> None:
     readiness = Readiness(scenario)
     readiness.is_reached(known(), 0.0)
     assert readiness.lacking == "vehicles 1, 2: no status from its agent yet"
-    readiness.is_reached(known(replace(READY_1, lacks=("this", "that")), READY_2), 0.0)
+    readiness.is_reached(known(status_with(READY_1, lacks=("this", "that")), READY_2), 0.0)
     assert readiness.lacking == "vehicle 1: this; that"
 
 
 def test_a_missing_leader_beacon_does_not_delay_readiness(scenario: Scenario) -> None:
     readiness = Readiness(scenario)
-    readiness.is_reached(known(READY_1, replace(READY_2, flags=(HealthFlag.LEADER_LOST,))), 0.0)
+    readiness.is_reached(known(READY_1, status_with(READY_2, flags=(HealthFlag.LEADER_LOST,))), 0.0)
     assert readiness.lacking == ""
 
 
@@ -181,7 +180,7 @@ def test_a_vehicle_away_from_its_start_is_reported(
     scenario: Scenario, position_enu_m: tuple[float, float, float], text: str
 ) -> None:
     readiness = Readiness(scenario)
-    readiness.is_reached(known(READY_1, replace(READY_2, position_enu_m=position_enu_m)), 0.0)
+    readiness.is_reached(known(READY_1, status_with(READY_2, position_enu_m=position_enu_m)), 0.0)
     assert readiness.lacking.startswith(f"vehicle 2: {text}" if text else "")
     assert bool(readiness.lacking) is bool(text)
 

@@ -3,25 +3,45 @@
 from __future__ import annotations
 
 import pytest
-from msgspec.structs import replace
 
 from companion.config.reference import PointReference, WaypointsReference
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, LeaderBeacon
-from companion.types.status import Status
+from companion.types.status import (
+    AgentIdentity,
+    AutopilotReport,
+    ControlReport,
+    FormationReport,
+    LeadershipReport,
+    MotionReport,
+    NeighbourReport,
+    SafetyReport,
+    Status,
+)
 from companion.types.values import Vector3
 from companion.wire.messages import Percentiles, StatusReport, Timing
+from ground_fleet import status_with
 from sitl.flight.director import MovingTargets
 from sitl.flight.scenario import MovingTarget
 from sitl.flight.watch import FlightWatch
 
 NOTHING = Percentiles(0.0, 0.0, 0.0)
 LEADING = Status(
-    1, 1, "pair", 1, "weighted", FlightPhase.FORMATION, "OFFBOARD", True, LandedState.IN_AIR, (0.0, 0.0, 2.0), (0.0, 0.0, 0.0),
-    0.01, 0.5, (0.0, 0.0, 0.0), Role.LEADER, 0, 1, LeaderBeacon(1, 0, 1, 10.0), 0.0, (), FlownSlot((0.0, 0.0, 0.0)),
-    (0.0, 0.0, 2.0), (), {}, "",
-)  # fmt: skip
+    agent=AgentIdentity(vehicle_id=1, session=1, fleet="pair", formation_hash=1, law="weighted"),
+    phase=FlightPhase.FORMATION,
+    autopilot=AutopilotReport(mode_name="OFFBOARD", armed=True, landed=LandedState.IN_AIR),
+    motion=MotionReport(position_enu_m=(0.0, 0.0, 2.0), velocity_enu_m_s=(0.0, 0.0, 0.0), state_age_s=0.01),
+    control=ControlReport(hover_thrust_norm=0.5, disturbance_enu_m_s2=(0.0, 0.0, 0.0)),
+    leadership=LeadershipReport(
+        role=Role.LEADER, epoch=0, prc=1, leader_beacon=LeaderBeacon(1, 0, 1, 10.0), leader_beacon_age_s=0.0
+    ),
+    neighbourhood=NeighbourReport(neighbours=()),
+    formation=FormationReport(slot=FlownSlot((0.0, 0.0, 0.0)), reference_enu_m=(0.0, 0.0, 2.0)),
+    safety=SafetyReport(flags=()),
+    rejected={},
+    last_event="",
+)
 
 
 def test_each_target_is_published_ten_times_a_second_within_its_time() -> None:
@@ -50,7 +70,9 @@ def watched(*reported: tuple[float, float]) -> FlightWatch:
     """A watch that has received reports of a leader: (reference time in s, x of r in m)."""
     watch = FlightWatch([1], [1], 0.0)
     for number, (reference_s, x) in enumerate(reported):
-        status = replace(LEADING, leader_beacon=LeaderBeacon(1, 0, number, reference_s), reference_enu_m=(x, 0.0, 2.0))
+        status = status_with(
+            LEADING, leader_beacon=LeaderBeacon(1, 0, number, reference_s), reference_enu_m=(x, 0.0, 2.0)
+        )
         watch.receive(StatusReport(status, Timing(50.0, 1, 0, NOTHING, NOTHING, 5.0, 49.0)), 50.0 + number)
     return watch
 
