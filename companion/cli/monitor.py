@@ -144,7 +144,7 @@ def _run_terminal(options: argparse.Namespace) -> int:
         once=options.once,
         as_json=options.json,
         endpoints_are_guessed=not endpoints,
-        members={fleet.name: frozenset(member.id for member in fleet.vehicles)} if fleet else {},
+        fleets={fleet.name: fleet} if fleet else {},
     )
 
 

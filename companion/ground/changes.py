@@ -157,9 +157,14 @@ def resolve_slots(request: FormationRequest, statuses: Sequence[Status], fleet: 
     if request.shape and request.spacing_m is not None:
         slots = named_slots(request.shape, len(statuses), request.spacing_m * request.scale, request.heading_deg)
         return assign_slots(positions_enu_m(statuses), slots)
-    flown_enu_m = {status.agent.vehicle_id: status.formation.slot.position_enu_m for status in statuses}
+    flown_enu_m = flown_slots_enu_m(statuses)
     slots_enu_m = load_slots(request.slots_file, fleet) if request.slots_file else request.slots_enu_m or flown_enu_m
     return {i: rotated(slot, radians(request.heading_deg), request.scale) for i, slot in slots_enu_m.items()}
+
+
+def flown_slots_enu_m(statuses: Iterable[Status]) -> dict[int, Vector3]:
+    """By vehicle, in the formation's frame."""
+    return {status.agent.vehicle_id: status.formation.slot.position_enu_m for status in statuses}
 
 
 def positions_enu_m(statuses: Sequence[Status]) -> dict[int, Vector3]:
@@ -168,11 +173,8 @@ def positions_enu_m(statuses: Sequence[Status]) -> dict[int, Vector3]:
     Own positions are not relative to the RFT; that changes neither the assignment of slots nor the distances of vehicles.
     """
     if any(status.phase is FlightPhase.FORMATION for status in statuses):
-        return {status.agent.vehicle_id: status.formation.slot.position_enu_m for status in statuses}
-    return {
-        status.agent.vehicle_id: rotated(status.motion.position_enu_m, -status.formation.heading.angle_rad, 1.0)
-        for status in statuses
-    }
+        return flown_slots_enu_m(statuses)
+    return {s.agent.vehicle_id: rotated(s.motion.position_enu_m, -s.formation.heading.angle_rad, 1.0) for s in statuses}
 
 
 def assign_slots(flown_enu_m: Mapping[int, Vector3], slots_enu_m: Sequence[Vector3]) -> dict[int, Vector3]:
@@ -204,12 +206,11 @@ def refusal_of(slots_enu_m: Mapping[int, Vector3], separation_m: float, has_heig
 
 def change_to(slots_enu_m: Mapping[int, Vector3], statuses: Sequence[Status], slot_speed_m_s: float) -> FormationChange:
     """The change for all vehicles with a status, with the next number, AHEAD_S after their fleet time."""
-    flown = {status.agent.vehicle_id: status.formation.slot.position_enu_m for status in statuses}
-    lasts_s = duration_s(longest_path_m(flown, slots_enu_m), slot_speed_m_s, SLOT_ACCELERATION_M_S2)
+    path_m = longest_path_m(flown_slots_enu_m(statuses), slots_enu_m)
+    lasts_s = duration_s(path_m, slot_speed_m_s, SLOT_ACCELERATION_M_S2)
+    slots = [status.formation.slot for status in statuses]
     return FormationChange(
-        number=next_for_all(
-            number for s in statuses for number in (s.formation.slot.formation, s.formation.slot.waiting)
-        ),
+        number=next_for_all(number for slot in slots for number in (slot.formation, slot.waiting)),
         slots_enu_m=tuple(sorted(slots_enu_m.items())),
         begins_s=fleet_time_s(statuses) + AHEAD_S,
         lasts_s=max(lasts_s, MIN_CHANGE_S),
@@ -227,10 +228,9 @@ def fleet_time_s(statuses: Iterable[Status]) -> float:
 def check_reports(action: str, statuses: Iterable[Status]) -> None:
     """Refuses positions that no vehicle can have: their squares overflow. Raises ConfigError."""
     for status in statuses:
-        positions = {"position_enu_m": status.motion.position_enu_m, "slot": status.formation.slot.position_enu_m}
-        for name, position_enu_m in (
-            positions | {"reference_enu_m": status.formation.reference_enu_m or (0.0,)}
-        ).items():
+        flown = status.formation
+        positions = {"position_enu_m": status.motion.position_enu_m, "slot": flown.slot.position_enu_m}
+        for name, position_enu_m in (positions | {"reference_enu_m": flown.reference_enu_m or (0.0,)}).items():
             if (largest_m := max(map(abs, position_enu_m))) > MAX_COORDINATE_M:
                 raise ConfigError(
                     command_line(action),

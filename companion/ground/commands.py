@@ -23,6 +23,7 @@ from companion.ground.changes import (
     change_to,
     check_request,
     command_line,
+    flown_slots_enu_m,
     reference_change,
     refusal_of,
     resolve_reference,
@@ -204,7 +205,7 @@ class OperatorCommands:
             raise OperateError(f"no report of any vehicle for {self._wait_s:g} s")
         statuses = list(reports.values())
         reference = resolve_reference_now(request, statuses)
-        slots_enu_m = {status.agent.vehicle_id: status.formation.slot.position_enu_m for status in statuses}
+        slots_enu_m = flown_slots_enu_m(statuses)
         check_reference(request.file or command_line("reference"), self._fleet, reference, slots_enu_m=slots_enu_m)
         change = reference_change(msgspec.to_builtins(reference), statuses)
         may_lead = [member.id for member in self._fleet.vehicles if member.can_lead]

@@ -8,16 +8,17 @@ from itertools import groupby
 from math import degrees, dist
 
 from companion.geometry.formations import turned_slot
+from companion.geometry.vectors import plus
 from companion.types.autopilot import LandedState
 from companion.types.flight import WITHOUT_LEADER, FlightPhase, HealthFlag
-from companion.types.formation import EAST, FlownSlot
+from companion.types.formation import EAST, FlownSlot, Heading
 from companion.types.status import Status
 from companion.types.values import Vector3
 from companion.wire.messages import StatusReport
 
 MOST_VEHICLES = 500
 SILENT_AFTER_S = 1.0  # ten reports missed
-_FLYING = (LandedState.IN_AIR, LandedState.TAKEOFF, LandedState.LANDING)
+IN_FLIGHT = (LandedState.IN_AIR, LandedState.TAKEOFF, LandedState.LANDING)
 
 PAST_TAKEOFF = frozenset({FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE})
 
@@ -76,11 +77,6 @@ class ReportedVehicle:
         """Messages that it has rejected, of all codes."""
         return sum(self.report.status.rejected.values())
 
-    @property
-    def has_old_position(self) -> bool:
-        """Whether its position is none that holds now."""
-        return self.data_age_s > SILENT_AFTER_S
-
 
 def fold(state: FleetState, report: StatusReport, now_s: float) -> FleetState:
     """The state with one more report, received at `now_s` (any monotonic clock, the same as for `vehicles_at`)."""
@@ -97,9 +93,7 @@ def fold(state: FleetState, report: StatusReport, now_s: float) -> FleetState:
 def vehicles_at(state: FleetState, now_s: float) -> list[ReportedVehicle]:
     """All vehicles that ever reported, by fleet and id."""
     ordered = [state.vehicles[key] for key in sorted(state.vehicles)]
-    fleets = [
-        list(of_fleet) for _, of_fleet in groupby(ordered, key=lambda received: received.report.status.agent.fleet)
-    ]
+    fleets = [list(of_fleet) for _, of_fleet in groupby(ordered, key=lambda one: one.report.status.agent.fleet)]
     return [_vehicle(facts, received, now_s) for one in fleets for facts in [_facts(one, now_s)] for received in one]
 
 
@@ -124,23 +118,17 @@ def _facts(fleet: Sequence[Received], now_s: float) -> _FleetFacts:
 
 def _vehicle(facts: _FleetFacts, received: Received, now_s: float) -> ReportedVehicle:
     status = received.report.status
+    motion, flags = status.motion, status.safety.flags
     age_s, silent = now_s - received.received_s, _is_silent(received, now_s)
-    data_age_s = age_s + status.motion.state_age_s
+    data_age_s = age_s + motion.state_age_s
     reference_enu_m = _reference_enu_m(facts, status)
-    slot_position_enu_m = None if reference_enu_m is None else _slot_position_enu_m(status, reference_enu_m)
-    error_to_slot_m = None
-    if (
-        slot_position_enu_m is not None
-        and status.autopilot.landed in _FLYING
-        and data_age_s <= SILENT_AFTER_S
-        and not silent
-    ):
-        error_to_slot_m = dist(status.motion.position_enu_m, slot_position_enu_m)
-    flags = (
-        status.safety.flags
-        if facts.under_way
-        else tuple(flag for flag in status.safety.flags if flag not in WITHOUT_LEADER)
-    )
+    slot_position_enu_m = error_to_slot_m = None
+    if reference_enu_m is not None:
+        slot_position_enu_m = slot_position(status.formation.slot, status.formation.heading, reference_enu_m)
+        if status.autopilot.landed in IN_FLIGHT and data_age_s <= SILENT_AFTER_S and not silent:
+            error_to_slot_m = dist(motion.position_enu_m, slot_position_enu_m)
+    if not facts.under_way:
+        flags = tuple(flag for flag in flags if flag not in WITHOUT_LEADER)
     return ReportedVehicle(
         received.report, age_s, data_age_s, silent, flags, reference_enu_m, slot_position_enu_m, error_to_slot_m
     )
@@ -150,44 +138,34 @@ def _is_silent(received: Received, now_s: float) -> bool:
     return now_s - received.received_s > SILENT_AFTER_S
 
 
-def _slot_position_enu_m(status: Status, reference_enu_m: Vector3) -> Vector3:
-    (x, y, z), (dx, dy, dz) = (
-        reference_enu_m,
-        turned_slot(status.formation.slot, status.formation.heading).position_enu_m,
-    )
-    return (x + dx, y + dy, z + dz)
+def slot_position(slot: FlownSlot, heading: Heading, reference_enu_m: Vector3) -> Vector3:
+    """Where a slot is in the fleet frame, m."""
+    return plus(reference_enu_m, turned_slot(slot, heading).position_enu_m)
 
 
 def _reference_enu_m(facts: _FleetFacts, status: Status) -> Vector3 | None:
     """The vehicle's own reference, else that of the leader of its leader beacon, else of any leader that reports."""
     if status.formation.reference_enu_m is not None:
         return status.formation.reference_enu_m
-    known = facts.references_enu_m
-    if status.leadership.leader_beacon and status.leadership.leader_beacon.leader_id in known:
-        return known[status.leadership.leader_beacon.leader_id]
+    known, beacon = facts.references_enu_m, status.leadership.leader_beacon
+    if beacon and beacon.leader_id in known:
+        return known[beacon.leader_id]
     return next(iter(known.values()), None)
 
 
 def formation_text(status: Status) -> str:
     """ "1", "1, then 2" or "changing to 2"; with the heading where that is not east."""
-    pointed = "" if status.formation.heading == EAST else f" at {degrees(status.formation.heading.angle_rad):.0f} deg"
-    return _formation(status.formation.slot) + pointed
-
-
-def _formation(slot: FlownSlot) -> str:
+    slot, heading = status.formation.slot, status.formation.heading
+    pointed = "" if heading == EAST else f" at {degrees(heading.angle_rad):.0f} deg"
     if slot.waiting != slot.formation:
-        return f"{slot.formation}, then {slot.waiting}"
-    return f"changing to {slot.formation}" if slot.moves else str(slot.formation)
+        return f"{slot.formation}, then {slot.waiting}{pointed}"
+    return f"{'changing to ' if slot.moves else ''}{slot.formation}{pointed}"
 
 
 def reference_text(status: Status) -> str:
     """ "1" or "1, then 2", with the age of the target followed; "-" where the vehicle holds none."""
-    held = status.formation.reference
+    held, target_age_s = status.formation.reference, status.formation.target_age_s
     if held is None:
         return "-"
     reference = str(held.flown) if held.waiting == held.flown else f"{held.flown}, then {held.waiting}"
-    return (
-        reference
-        if status.formation.target_age_s is None
-        else f"{reference}, target {status.formation.target_age_s:.1f} s old"
-    )
+    return reference if target_age_s is None else f"{reference}, target {target_age_s:.1f} s old"

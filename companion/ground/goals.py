@@ -74,10 +74,8 @@ def goal_of(name: CommandName, content: Content | None, running: bool) -> Goal |
 
 
 def _follows(status: Status, lead: Lead) -> bool:
-    leads = status.agent.vehicle_id in lead.leaders
-    return is_newer(status.leadership.epoch, lead.epoch) or (
-        status.leadership.epoch == lead.epoch and (status.leadership.role is Role.LEADER) is leads
-    )
+    leads, known = status.agent.vehicle_id in lead.leaders, status.leadership
+    return is_newer(known.epoch, lead.epoch) or (known.epoch == lead.epoch and (known.role is Role.LEADER) is leads)
 
 
 def _flies(status: Status, change: FormationChange) -> bool:
@@ -176,12 +174,8 @@ def _obstacle(name: CommandName, status: Status, operator: str) -> Notice | None
         )
     if status.phase not in PHASES[name]:
         return Notice(Code.WRONG_PHASE, f"{name} is not possible in phase {status.phase}; {NEXT_STEP[name]}")
-    flags = (
-        set(status.safety.flags) - OF_THE_FLEET
-        if name is CommandName.TAKEOFF
-        else set(status.safety.flags) & POSITION_FLAGS
-    )
-    if flags:
+    raised = set(status.safety.flags)
+    if flags := raised - OF_THE_FLEET if name is CommandName.TAKEOFF else raised & POSITION_FLAGS:
         flag = min(flags)
         return Notice(Code(flag), FLAG_TEXTS[flag])
     return status.safety.refuses_return if name is CommandName.RETURN else None

@@ -18,17 +18,20 @@ from companion.config.reference import ASKED, KINDS, Asked, Reference, Reference
 from companion.config.reference_check import reference_problems
 from companion.config.values import PositionM
 from companion.geometry.formations import closest_approach, to_separation_metric, turned_slot
+from companion.geometry.vectors import mean, minus, rounded
 from companion.ground.changes import (
     FleetAction,
     FormationRequest,
     ReferenceRequest,
     change_to,
+    flown_slots_enu_m,
     refusal_of,
     resolve_reference_now,
     resolve_slots,
 )
+from companion.ground.commands import OperateError
+from companion.ground.fleet_state import slot_position
 from companion.monitor.api import CommandRequest, PathView, Preview
-from companion.types.errors import CompanionError
 from companion.types.formation import FlownSlot
 from companion.types.status import Status
 from companion.types.values import Vector3, VehicleId
@@ -43,10 +46,6 @@ ORDER = {key: index for index, key in enumerate(ASKED)}
 REQUEST = Path("request")  # named in an error in place of a file
 
 T = TypeVar("T", bound=Struct)
-
-
-class RequestError(CompanionError):
-    """A request that cannot be used; nothing was sent. str() is one line: field, and what was expected."""
 
 
 class _Content(Struct, frozen=True, forbid_unknown_fields=True):
@@ -68,17 +67,17 @@ class FormationContent(_Content, frozen=True):
 
 
 def fleet_action(request: CommandRequest, fleet: FleetConfig) -> FleetAction:
-    """Raises RequestError."""
+    """Raises OperateError."""
     if request.fleet != fleet.name:
-        raise RequestError(f"fleet: {request.fleet!r} is not commanded here; expected {fleet.name!r}")
+        raise OperateError(f"fleet: {request.fleet!r} is not commanded here; expected {fleet.name!r}")
     if request.name not in ACTIONS:
-        raise RequestError(f"name: {request.name!r} is no action; expected one of {', '.join(ACTIONS)}")
+        raise OperateError(f"name: {request.name!r} is no action; expected one of {', '.join(ACTIONS)}")
     known = [member.id for member in fleet.vehicles]
     _check_ids("vehicle_ids", request.vehicle_ids, known)
     if request.name in CHANGES and set(request.vehicle_ids) not in (set(), set(known)):
-        raise RequestError(f"vehicle_ids: {request.name} is for the whole fleet; expected all vehicles, or none listed")
+        raise OperateError(f"vehicle_ids: {request.name} is for the whole fleet; expected all vehicles, or none listed")
     if request.name not in CHANGES and request.content:
-        raise RequestError(f"content: {request.name} has none; expected {{}}")
+        raise OperateError(f"content: {request.name} has none; expected {{}}")
     leaders: tuple[int, ...] = ()
     formation: FormationRequest | None = None
     reference: ReferenceRequest | None = None
@@ -98,7 +97,7 @@ def _check_ids(field: str, ids: tuple[int, ...], known: list[int]) -> None:
     for vehicle_id in ids:
         if vehicle_id not in known:
             expected = ", ".join(map(str, known))
-            raise RequestError(f"{field}: vehicle {vehicle_id} is not in the fleet; expected some of {expected}")
+            raise OperateError(f"{field}: vehicle {vehicle_id} is not in the fleet; expected some of {expected}")
 
 
 def _content(content: Mapping[str, Any], type_: type[T]) -> T:
@@ -106,33 +105,33 @@ def _content(content: Mapping[str, Any], type_: type[T]) -> T:
         # From JSON keys are texts: the ids of slots as well.
         return msgspec.convert(content, type_, strict=True, str_keys=True)
     except msgspec.ValidationError as error:
-        raise RequestError(f"content: {error}") from error
+        raise OperateError(f"content: {error}") from error
 
 
 def formation_request(content: FormationContent, fleet: FleetConfig) -> FormationRequest:
-    """Raises RequestError for slots that are incomplete, and for a choice that is none."""
+    """Raises OperateError for slots that are incomplete, and for a choice that is none."""
     if content.shape is not None and content.slots_enu_m is not None:
-        raise RequestError("content: shape and slots_enu_m are two formations; expected one of them")
+        raise OperateError("content: shape and slots_enu_m are two formations; expected one of them")
     if (content.shape is None) is not (content.spacing_m is None):
-        raise RequestError("content.spacing_m: belongs to a shape; expected both or neither")
+        raise OperateError("content.spacing_m: belongs to a shape; expected both or neither")
     if content.slots_enu_m is not None:
         try:
             check_slots(REQUEST, content.slots_enu_m, fleet)
         except ConfigError as error:
-            raise RequestError(_one_line(error)) from error
+            raise OperateError(_one_line(error)) from error
     if content.shape is None and content.slots_enu_m is None and content.scale == 1.0 and content.heading_deg == 0.0:
-        raise RequestError("content: is empty; expected shape, slots_enu_m, scale or heading_deg")
+        raise OperateError("content: is empty; expected shape, slots_enu_m, scale or heading_deg")
     return FormationRequest(
         content.shape, None, content.spacing_m, content.heading_deg, content.scale, content.slots_enu_m
     )
 
 
 def reference_of(content: Mapping[str, Any]) -> Reference:
-    """As in a vehicle file. Raises RequestError."""
+    """As in a vehicle file. Raises OperateError."""
     try:
         return convert(REQUEST, {"reference": dict(content)}, ReferenceSection).reference
     except ConfigError as error:
-        raise RequestError(_one_line(error)) from error
+        raise OperateError(_one_line(error)) from error
 
 
 def _one_line(error: ConfigError) -> str:
@@ -189,7 +188,7 @@ def preview_of(wanted: FleetAction, fleet: FleetConfig, statuses: Mapping[int, S
 def _formation(request: FormationRequest, fleet: FleetConfig, statuses: Sequence[Status]) -> Preview:
     has_height = fleet.law.altitude == "formation"
     slots_enu_m = resolve_slots(request, statuses, fleet)
-    flown_enu_m = {status.agent.vehicle_id: status.formation.slot.position_enu_m for status in statuses}
+    flown_enu_m = flown_slots_enu_m(statuses)
     closest_m, _, _ = closest_approach(
         {i: to_separation_metric(slot, has_height) for i, slot in flown_enu_m.items()},
         {i: to_separation_metric(slot, has_height) for i, slot in slots_enu_m.items()},
@@ -199,11 +198,11 @@ def _formation(request: FormationRequest, fleet: FleetConfig, statuses: Sequence
     return Preview(
         paths=tuple(
             PathView(
-                status.agent.vehicle_id,
-                _in_fleet_frame(flown_enu_m[status.agent.vehicle_id], status, reference_enu_m),
-                _in_fleet_frame(slots_enu_m[status.agent.vehicle_id], status, reference_enu_m),
+                i,
+                _in_fleet_frame(flown_enu_m[i], status, reference_enu_m),
+                _in_fleet_frame(slots_enu_m[i], status, reference_enu_m),
             )
-            for status in statuses
+            for i, status in zip(flown_enu_m, statuses, strict=True)
         ),
         smallest_separation_m=round(closest_m, 3) if closest_m < inf else None,
         lasts_s=round(change.lasts_s, 2),
@@ -216,29 +215,17 @@ def _reference_enu_m(statuses: Sequence[Status]) -> Vector3:
     for status in statuses:
         if status.formation.reference_enu_m:
             return status.formation.reference_enu_m
-    origins = [
-        _less(s.motion.position_enu_m, turned_slot(s.formation.slot, s.formation.heading).position_enu_m)
-        for s in statuses
-    ]
-    x, y, z = (sum(axis) / len(origins) for axis in zip(*origins, strict=True))
-    return (x, y, z)
-
-
-def _less(a: Vector3, b: Vector3) -> Vector3:
-    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+    slots = [turned_slot(status.formation.slot, status.formation.heading).position_enu_m for status in statuses]
+    return mean([minus(s.motion.position_enu_m, slot) for s, slot in zip(statuses, slots, strict=True)])
 
 
 def _in_fleet_frame(slot_enu_m: Vector3, status: Status, reference_enu_m: Vector3) -> Vector3:
-    (x, y, z), (dx, dy, dz) = (
-        reference_enu_m,
-        turned_slot(FlownSlot(slot_enu_m), status.formation.heading).position_enu_m,
-    )
-    return (round(x + dx, 3), round(y + dy, 3), round(z + dz, 3))
+    return rounded(slot_position(FlownSlot(slot_enu_m), status.formation.heading, reference_enu_m), 3)
 
 
 def _reference(reference: Reference, fleet: FleetConfig, statuses: Sequence[Status]) -> Preview:
     """The track of the reference; None as time where it has no end."""
-    slots_enu_m = {status.agent.vehicle_id: status.formation.slot.position_enu_m for status in statuses}
+    slots_enu_m = flown_slots_enu_m(statuses)
     problems = [
         ConfigError("reference", *problem) for problem in reference_problems(fleet, reference, "reference", slots_enu_m)
     ]
@@ -246,7 +233,7 @@ def _reference(reference: Reference, fleet: FleetConfig, statuses: Sequence[Stat
     curve, points = reference.curve(), TRACK_POINTS if lasts_s else 1
     track = [curve((lasts_s or 0.0) * index / max(1, points - 1))[0] for index in range(points)]
     return Preview(
-        track_enu_m=tuple((round(x, 3), round(y, 3), round(z, 3)) for x, y, z in track),
+        track_enu_m=tuple(rounded(point, 3) for point in track),
         lasts_s=None if lasts_s is None else float(ceil(lasts_s)),
         refused="; ".join(problem.lines[0].removeprefix("reference: ") for problem in problems),
     )

@@ -17,7 +17,7 @@ from companion.ground.goals import advise_divided_fleet
 from companion.ground.reports import Check, no_report, readiness_of
 from companion.ground.session import FleetSession
 from companion.monitor.api import AnswerView, CommandRequest, CommandResult, Preview
-from companion.monitor.command_requests import ABORT, DOCTOR, HOLD, LAND, WAIT_S, RequestError, fleet_action, preview_of
+from companion.monitor.command_requests import ABORT, DOCTOR, HOLD, LAND, WAIT_S, fleet_action, preview_of
 from companion.types.commands import CommandName, Content
 from companion.types.errors import CompanionError
 from companion.types.notices import Code, Notice
@@ -58,7 +58,7 @@ class Commander:
         """
         try:
             wanted = fleet_action(request, self._fleet)
-        except RequestError as error:
+        except OperateError as error:
             return CommandResult(request.name, (), error=_one_line(error))
         ids = sorted(set(wanted.only)) or [member.id for member in self._fleet.vehicles]
         if request.name == DOCTOR:
@@ -120,9 +120,9 @@ class Commander:
         try:
             wanted = fleet_action(request, self._fleet)
             if not (wanted.formation or wanted.reference):
-                raise RequestError("name: expected formation or reference; other commands have no preview")
+                raise OperateError("name: expected formation or reference; other commands have no preview")
             return await self._in_thread(self._preview_threads, lambda: self._previewed(wanted))
-        except (RequestError, *REFUSALS) as error:
+        except REFUSALS as error:
             return Preview(refused=_one_line(error))
 
     def _previewed(self, wanted: FleetAction) -> Preview:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
@@ -12,13 +11,12 @@ from typing import TYPE_CHECKING
 from companion.config.fleet import FleetConfig
 from companion.ground.session import FleetSession
 from companion.link.byte_links import LinkError
-from companion.monitor import MonitorError
+from companion.monitor import MonitorError, check_fleet_name
 from companion.monitor.commander import Commander
 from companion.monitor.server import Address, listen_address, serve
 from companion.monitor.sources import LiveSource
 from companion.monitor.station import Station
 from companion.security.names import ParticipantRole
-from companion.types.values import FLEET_NAME
 
 if TYPE_CHECKING:
     from companion.monitor.qgroundcontrol import FleetFeed
@@ -74,7 +72,7 @@ def _show_vehicles(options: LivePage, address: Address) -> None:
             endpoints_are_guessed=options.endpoints_are_guessed,
         )
         if options.mavlink is not None:
-            station.listeners.append(stack.enter_context(_feed(options.mavlink, fleet)).forward)
+            station.views.append(stack.enter_context(_feed(options.mavlink, fleet)).forward)
         if options.record is not None:
             recording = stack.enter_context(closing(_recording(options.record, session, fleet, station)))
             station.listeners.append(recording.listen)
@@ -110,7 +108,7 @@ def _show_recording(options: LivePage, folder: Path, address: Address) -> None:
         station = Station(flight.source, fleets, operator="")
         if options.mavlink is not None:
             shown = options.fleet or next(iter(fleets.values()), None)
-            station.listeners.append(stack.enter_context(_feed(options.mavlink, shown)).forward)
+            station.views.append(stack.enter_context(_feed(options.mavlink, shown)).forward)
         serve(station, None, address, options.tiles)
 
 
@@ -152,8 +150,7 @@ def _feed(endpoint: str, fleet: FleetConfig | None) -> FleetFeed:
 def _fleet_name(options: LivePage) -> str:
     """The fleet to receive from. Raises MonitorError."""
     name = options.fleet_name
-    if name != "*" and not re.fullmatch(FLEET_NAME, name):
-        raise MonitorError(f"--fleet {name!r}: expected the name in a fleet file, like platoon, or * for every fleet")
+    check_fleet_name(name)
     if not options.control or options.fleet is None:
         return name
     if name not in ("*", options.fleet.name):

@@ -17,14 +17,12 @@ from typing import Self
 
 from companion.config.fleet import FleetConfig, GeodeticOrigin
 from companion.geometry.frames import geodetic_from_enu, ned_from_enu
-from companion.ground.fleet_state import SILENT_AFTER_S
+from companion.ground.fleet_state import IN_FLIGHT, ReportedVehicle
 from companion.link.byte_links import LinkError, encoded_host
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
-from companion.types.autopilot import LandedState
 from companion.types.flight import FLAG_TEXTS, FLYING, STREAMING, WITHOUT_LEADER, HealthFlag
 from companion.types.status import Status
 from companion.types.values import MAX_COORDINATE_M, Vector3
-from companion.wire.messages import StatusReport
 
 POSITIONS_EVERY_S, STATES_EVERY_S = 0.2, 1.0
 DATAGRAMS_PER_STEP, READ_BYTES = 64, 4096
@@ -39,8 +37,6 @@ class _System:
     """One vehicle as the ground station sees it."""
 
     codec: MavlinkCodec
-    status: Status
-    received_s: float
     positions_due_s: float = -inf
     states_due_s: float = -inf
     texts_s: dict[HealthFlag, float] = field(default_factory=dict)  # when each flag was last sent
@@ -50,8 +46,7 @@ class _System:
 class FleetFeed:
     """Call `forward` some ten times a second. It never blocks.
 
-    Counters: `sent` datagrams, `ignored` messages from the ground station, `denied` commands among them, `foreign` statuses of
-    another fleet.
+    Counters: `ignored` messages from the ground station, `denied` commands among them.
     """
 
     def __init__(self, endpoint: str, fleet: FleetConfig) -> None:
@@ -62,35 +57,21 @@ class FleetFeed:
         self._systems: dict[int, _System] = {}
         self._reader = MavlinkCodec(255, 0)
         self._began_s, self._stepped_s = inf, -inf
-        self.sent = self.ignored = self.denied = self.foreign = 0
+        self.ignored = self.denied = 0
 
-    def forward(self, reports: Iterable[tuple[float, StatusReport]], now_s: float) -> None:
-        """Take in the reports that came since the last call, with their times of arrival; send what is due."""
-        if now_s < self._stepped_s:  # a recording goes back: what is known is of its future
+    def forward(self, vehicles: Iterable[ReportedVehicle], now_s: float) -> None:
+        """Send what is due of the vehicles at this time, and drain what the ground station sent."""
+        if now_s < self._stepped_s:  # a recording goes back: what was sent is of its future
             self._systems.clear()
-        for received_s, report in reports:
-            self.take(report.status, received_s)
-        self.step(now_s)
-
-    def take(self, status: Status, now_s: float) -> None:
-        """The newest status of a vehicle, received at this time."""
-        if status.agent.fleet != self._fleet:
-            self.foreign += 1
-            return
-        system = self._systems.get(status.agent.vehicle_id)
-        if system is None:
-            codec = MavlinkCodec(status.agent.vehicle_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
-            self._systems[status.agent.vehicle_id] = _System(codec, status, now_s)
-        else:
-            system.status, system.received_s = status, now_s
-
-    def step(self, now_s: float) -> None:
-        """Send what is due, and drain what the ground station sent."""
         self._stepped_s, self._began_s = now_s, min(self._began_s, now_s)
         time_ms = int((now_s - self._began_s) * 1e3) % 2**32
-        for system in self._systems.values():
-            if now_s - system.received_s <= SILENT_AFTER_S:
-                self._send(system, _due(system, self._origin, now_s, time_ms))
+        for vehicle in vehicles:
+            if vehicle.fleet == self._fleet and not vehicle.silent:
+                system = self._systems.get(vehicle.vehicle_id)
+                if system is None:
+                    codec = MavlinkCodec(vehicle.vehicle_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
+                    system = self._systems[vehicle.vehicle_id] = _System(codec)
+                self._send(system, _due(system, vehicle, self._origin, now_s, time_ms))
         self._drain()
 
     def close(self) -> None:
@@ -108,7 +89,6 @@ class FleetFeed:
         if datagram:
             with contextlib.suppress(OSError):
                 self._socket.send(datagram)
-                self.sent += 1
 
     def _drain(self) -> None:
         denials = 0
@@ -131,17 +111,17 @@ class FleetFeed:
 
 
 def _due(
-    system: _System, origin_deg_deg_m: tuple[float, float, float] | None, now_s: float, time_ms: int
+    system: _System, vehicle: ReportedVehicle, origin_deg_deg_m: Vector3 | None, now_s: float, time_ms: int
 ) -> list[MavlinkMessage]:
     """The messages of a vehicle that are due now; notes in `system` that they are sent."""
     messages: list[MavlinkMessage] = []
     if now_s >= system.states_due_s:
         system.states_due_s = _next_s(system.states_due_s, now_s, STATES_EVERY_S)
-        messages += state_messages(system.status)
+        messages += state_messages(vehicle.status)
     if now_s >= system.positions_due_s:
         system.positions_due_s = _next_s(system.positions_due_s, now_s, POSITIONS_EVERY_S)
-        messages += position_messages(system.status, now_s - system.received_s, origin_deg_deg_m, time_ms)
-    return messages + _texts(system, now_s)
+        messages += position_messages(vehicle, origin_deg_deg_m, time_ms)
+    return messages + _texts(system, vehicle.status, now_s)
 
 
 def _next_s(due_s: float, now_s: float, period_s: float) -> float:
@@ -149,9 +129,9 @@ def _next_s(due_s: float, now_s: float, period_s: float) -> float:
     return due_s + period_s if now_s < due_s + period_s else now_s + period_s
 
 
-def _texts(system: _System, now_s: float) -> list[MavlinkMessage]:
+def _texts(system: _System, status: Status, now_s: float) -> list[MavlinkMessage]:
     """STATUSTEXT of flags that are new. A flag that comes and goes is not repeated at once."""
-    raised = shown_flags(system.status)
+    raised = shown_flags(status)
     system.raised &= raised
     new = [
         flag
@@ -160,7 +140,7 @@ def _texts(system: _System, now_s: float) -> list[MavlinkMessage]:
     ][:TEXTS_PER_STEP]
     system.raised |= frozenset(new)
     system.texts_s.update(dict.fromkeys(new, now_s))
-    return [flag_message(flag, system.status.autopilot.armed) for flag in new]
+    return [flag_message(flag, status.autopilot.armed) for flag in new]
 
 
 def _socket_towards(endpoint: str) -> socket.socket:
@@ -188,7 +168,6 @@ SLOWEST_COURSE_M_S = 0.5  # slower, the course is noise
 HEADING_UNKNOWN, VOLTAGE_UNKNOWN, CURRENT_UNKNOWN, PERCENT_UNKNOWN = 65535, 65535, -1, -1
 FASTEST_M_S = 300.0  # of what fits into GLOBAL_POSITION_INT
 TEXT_BYTES = 50  # of STATUSTEXT
-_FLYING = (LandedState.IN_AIR, LandedState.TAKEOFF, LandedState.LANDING)
 
 
 def state_messages(status: Status) -> list[MavlinkMessage]:
@@ -207,32 +186,29 @@ def state_messages(status: Status) -> list[MavlinkMessage]:
     ]  # fmt: skip
 
 
-def position_messages(
-    status: Status, age_s: float, origin_deg_deg_m: Vector3 | None, time_ms: int
-) -> list[MavlinkMessage]:
+def position_messages(vehicle: ReportedVehicle, origin_deg_deg_m: Vector3 | None, time_ms: int) -> list[MavlinkMessage]:
     """LOCAL_POSITION_NED, and GLOBAL_POSITION_INT where the fleet frame has a geodetic origin.
 
-    None of them for a position that is old, with `age_s` since the report, or for values that no vehicle has.
+    None of them for a position that is old, or for values that no vehicle has.
     """
-    if status.motion.state_age_s + age_s > OLDEST_POSITION_S or not _is_possible(status):
+    position_enu_m, velocity_enu_m_s = vehicle.status.motion.position_enu_m, vehicle.status.motion.velocity_enu_m_s
+    is_possible = max(map(abs, position_enu_m)) <= MAX_COORDINATE_M and max(map(abs, velocity_enu_m_s)) <= FASTEST_M_S
+    if vehicle.data_age_s > OLDEST_POSITION_S or not is_possible:
         return []
-    position_ned_m, velocity_ned_m_s = (
-        ned_from_enu(status.motion.position_enu_m),
-        ned_from_enu(status.motion.velocity_enu_m_s),
-    )
+    position_ned_m, velocity_ned_m_s = ned_from_enu(position_enu_m), ned_from_enu(velocity_enu_m_s)
     messages: list[MavlinkMessage] = [
         mavlink.MAVLink_local_position_ned_message(time_ms, *position_ned_m, *velocity_ned_m_s)
     ]
     if origin_deg_deg_m is not None:
         north_cm_s, east_cm_s, down_cm_s = (round(speed_m_s * 100.0) for speed_m_s in velocity_ned_m_s)
-        latitude_deg, longitude_deg, altitude_m = geodetic_from_enu(status.motion.position_enu_m, origin_deg_deg_m)
+        latitude_deg, longitude_deg, altitude_m = geodetic_from_enu(position_enu_m, origin_deg_deg_m)
         messages.append(
             mavlink.MAVLink_global_position_int_message(
                 time_ms,
                 round(latitude_deg * 1e7),
                 round(longitude_deg * 1e7),
                 round(altitude_m * 1e3),
-                round(status.motion.position_enu_m[2] * 1e3),
+                round(position_enu_m[2] * 1e3),
                 north_cm_s,
                 east_cm_s,
                 down_cm_s,
@@ -262,7 +238,7 @@ def _heartbeat(status: Status) -> MavlinkMessage:
     """GUIDED while the agent's setpoints stream; the autopilot's own mode has no number here."""
     mode = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if status.autopilot.armed else 0
     mode |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED if status.phase in STREAMING else 0
-    flies = status.autopilot.landed in _FLYING
+    flies = status.autopilot.landed in IN_FLIGHT
     critical = flies and bool(status.safety.flags)
     state = mavlink.MAV_STATE_ACTIVE if flies else mavlink.MAV_STATE_STANDBY
     return mavlink.MAVLink_heartbeat_message(
@@ -273,11 +249,6 @@ def _heartbeat(status: Status) -> MavlinkMessage:
         mavlink.MAV_STATE_CRITICAL if critical else state,
         3,
     )
-
-
-def _is_possible(status: Status) -> bool:
-    furthest_m, fastest_m_s = max(map(abs, status.motion.position_enu_m)), max(map(abs, status.motion.velocity_enu_m_s))
-    return furthest_m <= MAX_COORDINATE_M and fastest_m_s <= FASTEST_M_S
 
 
 def _percent(battery_percent: float | None) -> int:

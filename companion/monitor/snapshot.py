@@ -8,7 +8,7 @@ from itertools import groupby
 from math import inf
 
 from companion.config.fleet import EdgeNeighbours, FleetConfig, RangeNeighbours
-from companion.ground.fleet_state import FleetState, VehicleKey, fold, vehicles_at
+from companion.ground.fleet_state import FleetState, ReportedVehicle, VehicleKey, fold, vehicles_at
 from companion.monitor.alarms import (
     MISSING,
     NEVER_HEARD,
@@ -134,11 +134,15 @@ class Picture:
             replay=replay,
         )
 
+    def reported(self, now_s: float) -> list[ReportedVehicle]:
+        """The vehicles at this time with their whole reports."""
+        return vehicles_at(self._state, now_s)
+
     def _vehicles(self, now_s: float) -> tuple[VehicleView, ...]:
         return tuple(
             [
                 vehicle_view(state, self._rate_hz((state.fleet, state.vehicle_id), now_s), self._files.get(state.fleet))
-                for state in vehicles_at(self._state, now_s)
+                for state in self.reported(now_s)
             ]
         )
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 import msgspec
 
 from companion.config.fleet import FleetConfig
+from companion.ground.fleet_state import ReportedVehicle
 from companion.monitor.api import AlarmView, ClientMessage, FleetFileView, History, Seek, Snapshot, Speed
 from companion.monitor.events import Kind
 from companion.monitor.snapshot import Picture
@@ -26,12 +27,13 @@ _encoder = msgspec.json.Encoder()
 
 
 Listener = Callable[[Sequence[TimedReport], float], None]
+View = Callable[[Sequence[ReportedVehicle], float], None]
 
 
 class Station:
     """`publish` gets every snapshot, encoded once, with the events since the one before.
 
-    `listeners` get the new reports, with the time on their clock, at every reading. They do not block.
+    `listeners` get the new reports at every reading, `views` the vehicles, with the time on their clock. They do not block.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class Station:
         self._sought_s: float | None = None
         self.fleet_names = tuple(fleets)
         self.listeners: list[Listener] = []
+        self.views: list[View] = []
         self.publish: Callable[[bytes], None] = lambda _snapshot: None
         self.newest = self._snapshot(source.moment())
 
@@ -82,6 +85,8 @@ class Station:
         moment, reports = self._take_in()
         for listen in self.listeners:
             listen(reports, moment.now_s)
+        for show in self.views:
+            show(self._picture.reported(moment.now_s), moment.now_s)
 
     def _take_in(self) -> tuple[Moment, list[TimedReport]]:
         moment, reports = self._source.moment(), self._source.drain()

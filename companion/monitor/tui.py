@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import shutil
 import signal
 import sys
@@ -15,23 +14,22 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from importlib import import_module
-from types import FrameType
+from types import FrameType, MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 import zenoh
 
 from companion import GROUND_INSTALL
+from companion.config.fleet import FleetConfig
 from companion.ground.answers import id_list
-from companion.ground.current_fleet import unreachable
-from companion.ground.fleet_state import FleetState, ReportedVehicle, fold, formation_text, reference_text, vehicles_at
+from companion.ground.fleet_state import ReportedVehicle, formation_text, reference_text
 from companion.ground.session import FleetSession
-from companion.monitor import MonitorError
-from companion.monitor.tui_page import Line, Style, fit_page, page
-from companion.monitor.tui_rows import NO_MEMBERS, Members, fleets
-from companion.types.values import FLEET_NAME
+from companion.monitor import MonitorError, check_fleet_name
+from companion.monitor.snapshot import Picture
+from companion.monitor.sources import LiveSource, Moment
+from companion.monitor.tui_page import Line, Style, cut, fit_page, page
 from companion.wire.messages import STATUS_FORM
 
 if TYPE_CHECKING:
@@ -46,13 +44,14 @@ PLAIN_PERIOD_S = 1.0
 PLAIN_WIDTH = 120  # where the output is no terminal and COLUMNS is not set
 WITHOUT_CURSOR = ("dumb", "unknown", "")  # values of TERM: lines can only be added
 EXIT_ENDED, EXIT_NO_REPORT = 0, 1
+NO_FILES: Mapping[str, FleetConfig] = MappingProxyType({})
 PRINTED_OF_STATUS = (
     *("fleet", "vehicle_id", "role", "phase", "mode_name", "armed", "position_enu_m", "prc", "battery_percent"),
     *("hover_thrust_norm", "disturbance_enu_m_s2", "neighbours", "peers", "position_error", "lacks", "holder"),
     *("separation", "last_event", "network"),
 )
 
-Print = Callable[[list[ReportedVehicle]], None]
+Print = Callable[[Picture, Moment], None]
 
 
 def run_monitor(
@@ -62,28 +61,26 @@ def run_monitor(
     once: bool,
     as_json: bool,
     endpoints_are_guessed: bool = False,
-    members: Members = NO_MEMBERS,
+    fleets: Mapping[str, FleetConfig] = NO_FILES,
 ) -> int:
     """The exit code. With `endpoints_are_guessed` the live table does not tell which of them are not reached.
 
     Raises MonitorError and link.fleet.zenoh_session.EndpointError.
     """
-    if fleet != "*" and not re.fullmatch(FLEET_NAME, fleet):
-        raise MonitorError(f"--fleet {fleet!r}: expected the name in a fleet file, like platoon, or * for every fleet")
+    check_fleet_name(fleet)
     is_live = _is_live_terminal() and not (once or as_json)
     if is_live:
         _need_rich()
-    show: Print = _json if as_json else partial(_plain_table, members=members)
-    show_once: Print = partial(json_once, members=members) if as_json else show
     with FleetSession(fleet, endpoints, identity=identity) as session:
+        looked_at = () if is_live and endpoints_are_guessed else endpoints
+        source, picture = LiveSource(session, looked_at), Picture(fleets, session.operator)
         try:
             if once:
-                return _once(session, endpoints, show_once)
+                return _once(source, picture, fleet, json_once if as_json else _plain_table)
             if is_live:
-                known = () if endpoints_are_guessed else endpoints
-                show_live(_reader(session), endpoints, lambda: unreachable(known, session.linked()), members)
+                show_live(source, picture, endpoints)
             else:
-                _repeat(session, show)
+                _repeat(source, picture, _json if as_json else _plain_table)
         except KeyboardInterrupt:
             return EXIT_ENDED
     return EXIT_ENDED
@@ -93,29 +90,26 @@ def _is_live_terminal() -> bool:
     return sys.stdout.isatty() and os.environ.get("TERM", "") not in WITHOUT_CURSOR
 
 
-def _once(session: FleetSession, endpoints: Sequence[str], show: Print) -> int:
-    state = FleetState()
+def _once(source: LiveSource, picture: Picture, fleet: str, show: Print) -> int:
     end_s = time.monotonic() + ONCE_LISTEN_S
     while (now_s := time.monotonic()) < end_s:
-        before = len(state.vehicles)
-        state = _updated(session, state)
-        if before == 0 and state.vehicles:
+        had_vehicles = picture.has_vehicles
+        picture.receive(source.drain())
+        if picture.has_vehicles and not had_vehicles:
             end_s = min(end_s, now_s + ONCE_SETTLE_S)
         time.sleep(0.02)
-    if not state.vehicles:
-        print(f"companion monitor: {_nothing_received(session, endpoints)}", file=sys.stderr)
+    if not picture.has_vehicles:
+        print(f"companion monitor: {_nothing_received(source, fleet)}", file=sys.stderr)
         return EXIT_NO_REPORT
-    show(vehicles_at(state, time.monotonic()))
+    show(picture, source.moment())
     return EXIT_ENDED
 
 
-def _nothing_received(session: FleetSession, endpoints: Sequence[str]) -> str:
+def _nothing_received(source: LiveSource, fleet: str) -> str:
     """One line with the endpoints that cannot be reached."""
-    failed = unreachable(endpoints, session.linked())
-    reached = [endpoint for endpoint in endpoints if endpoint not in failed]
-    states = [f"{endpoint}: {reason}" for endpoint, reason in failed.items()]
-    states += [f"{endpoint}: reached, without a report" for endpoint in reached]
-    other_fleet = f", or leave --fleet {session.fleet} out to show every fleet" if session.fleet != "*" else ""
+    reached, failed = source.connections()
+    states = [*failed, *(f"{endpoint}: reached, without a report" for endpoint in reached)]
+    other_fleet = f", or leave --fleet {fleet} out to show every fleet" if fleet != "*" else ""
     return (
         f"no report for {ONCE_LISTEN_S:g} s ({'; '.join(states)}); give the endpoints of running agents with --connect, and"
         f" the own identity where they have identities{other_fleet}"
@@ -131,40 +125,21 @@ def _need_rich() -> None:
         raise MonitorError(needed) from error
 
 
-def _reader(session: FleetSession) -> Callable[[], list[ReportedVehicle]]:
-    """Gives the rows of all vehicles at each call."""
-    state = FleetState()
-
-    def read() -> list[ReportedVehicle]:
-        nonlocal state
-        state = _updated(session, state)
-        return vehicles_at(state, time.monotonic())
-
-    return read
-
-
-def _repeat(session: FleetSession, show: Print) -> None:
-    read = _reader(session)
+def _repeat(source: LiveSource, picture: Picture, show: Print) -> None:
     while True:
         time.sleep(PLAIN_PERIOD_S)
-        show(read())
+        picture.receive(source.drain())
+        show(picture, source.moment())
         sys.stdout.flush()
 
 
-def _updated(session: FleetSession, state: FleetState) -> FleetState:
-    now_s = time.monotonic()
-    for report in session.drain():
-        state = fold(state, report, now_s)
-    return state
-
-
-def _plain_table(vehicles: list[ReportedVehicle], members: Members) -> None:
-    lines = page(vehicles, shutil.get_terminal_size((PLAIN_WIDTH, 24)).columns, members)
+def _plain_table(picture: Picture, moment: Moment) -> None:
+    lines = page(picture.snapshot(*moment), shutil.get_terminal_size((PLAIN_WIDTH, 24)).columns)
     print("\n".join(shown.text for shown in lines) or "no vehicle has reported yet")
 
 
-def _json(vehicles: list[ReportedVehicle]) -> None:
-    print(msgspec.json.encode([vehicle_as_data(vehicle) for vehicle in vehicles]).decode())
+def _json(picture: Picture, moment: Moment) -> None:
+    print(msgspec.json.encode([vehicle_as_data(vehicle) for vehicle in picture.reported(moment.now_s)]).decode())
 
 
 def vehicle_as_data(vehicle: ReportedVehicle) -> dict[str, Any]:
@@ -186,10 +161,10 @@ def vehicle_as_data(vehicle: ReportedVehicle) -> dict[str, Any]:
     }
 
 
-def json_once(vehicles: list[ReportedVehicle], members: Members) -> None:
+def json_once(picture: Picture, moment: Moment) -> None:
     """On standard error those that the array cannot have, because they never reported."""
-    _json(vehicles)
-    for fleet in fleets(vehicles, members):
+    _json(picture, moment)
+    for fleet in picture.snapshot(*moment).fleets:
         if fleet.missing_ids:
             missing = f"NEVER HEARD: {id_list(fleet.missing_ids)} of its fleet file"
             print(f"companion monitor: fleet {fleet.name}: {missing}", file=sys.stderr)
@@ -199,56 +174,48 @@ PERIOD_S = 0.2
 CONNECTIONS_EVERY_S = 3.0
 
 
-def show_live(
-    vehicles: Callable[[], Sequence[ReportedVehicle]],
-    endpoints: Sequence[str],
-    unreachable: Callable[[], Mapping[str, str]],
-    members: Members,
-) -> None:
-    """Until Ctrl-C, which is raised as KeyboardInterrupt, as is SIGTERM.
-
-    `unreachable` gives the reason by endpoint and may take seconds.
-    """
+def show_live(source: LiveSource, picture: Picture, endpoints: Sequence[str]) -> None:
+    """Until Ctrl-C, which is raised as KeyboardInterrupt, as is SIGTERM."""
     from rich.console import Console
     from rich.live import Live
 
     console = Console(highlight=False)
     with (
-        _Connections(unreachable) as connections,
+        _Connections(source) as connections,
         _ended_by_sigterm(),
         Live(console=console, screen=True, auto_refresh=False, transient=True) as screen,
     ):
         while True:
+            picture.receive(source.drain())
             width, height = console.size
             above = top_lines(time.strftime("%H:%M:%S"), connections.failed, width)
-            room = height - len(above)
-            lines = fit_page(vehicles(), width, room, time.monotonic(), members) or _nothing_yet(endpoints)
+            snapshot = picture.snapshot(*source.moment())
+            lines = fit_page(snapshot, width, height - len(above), time.monotonic()) or _nothing_yet(endpoints)
             screen.update(as_text([*above, *lines]), refresh=True)
             time.sleep(PERIOD_S)
 
 
-def top_lines(clock: str, failed: Mapping[str, str], width: int) -> list[Line]:
+def top_lines(clock: str, failed: Sequence[str], width: int) -> list[Line]:
     """The time of this picture, so that a connection that stalls is seen, and the endpoints that are not reached."""
     lines = [Line(clock, Style.QUIET)]
     if failed:
-        text = "not reached: " + "; ".join(f"{endpoint}: {reason}" for endpoint, reason in failed.items())
-        lines.append(Line(text if len(text) <= width else f"{text[: width - 1]}…", Style.WARNING))
+        lines.append(Line(cut(f"not reached: {'; '.join(failed)}", width), Style.WARNING))
     return lines
 
 
 class _Connections:
     """Looks at the endpoints in a thread."""
 
-    def __init__(self, unreachable: Callable[[], Mapping[str, str]]) -> None:
-        self.failed: Mapping[str, str] = {}
-        self._unreachable = unreachable
+    def __init__(self, source: LiveSource) -> None:
+        self.failed: Sequence[str] = ()
+        self._source = source
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._look, daemon=True)
 
     def _look(self) -> None:
         while not self._ended.wait(CONNECTIONS_EVERY_S):
             with contextlib.suppress(zenoh.ZError, OSError):  # the picture goes on without it
-                self.failed = self._unreachable()
+                _, self.failed = self._source.connections()
 
     def __enter__(self) -> Self:
         self._thread.start()

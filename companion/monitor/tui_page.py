@@ -1,4 +1,4 @@
-"""The whole picture as lines of text for one width, and for one height where it is a terminal's. Pure.
+"""A snapshot as lines of text for one width, and for one height where it is a terminal's. Pure.
 
 Columns are designed for 80, 120 and 200 characters. A wider terminal shows more of them; the column `event` takes the rest.
 Where not all vehicles fit, those with problems come first and the others take turns.
@@ -10,11 +10,16 @@ import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import isfinite
+from itertools import combinations
+from math import inf, isfinite
+from typing import NamedTuple
 
-from companion.ground.answers import id_list
-from companion.ground.fleet_state import ReportedVehicle, formation_text, reference_text
-from companion.monitor.tui_rows import NO_MEMBERS, SILENT, FleetRows, Members, TableRow, fleets, group_problems, heading
+from companion.geometry.formations import separation_distance_m
+from companion.ground.answers import count, id_list
+from companion.monitor.api import FleetView, Snapshot, VehicleView
+from companion.monitor.vehicle_view import advice_of, is_old
+from companion.types.code_table import code_table
+from companion.types.notices import Code
 from companion.types.values import printable
 
 NARROWEST = 40
@@ -38,19 +43,117 @@ class Line:
     style: Style = Style.PLAIN
 
 
-def page(vehicles: Sequence[ReportedVehicle], width: int, members: Members = NO_MEMBERS) -> list[Line]:
+@dataclass(frozen=True, slots=True)
+class TableRow:
+    """A vehicle, its nearest other one by name and distance ("-" if unknown) and what is wrong with it."""
+
+    vehicle: VehicleView
+    fleet_size: int
+    nearest: str
+    problems: tuple[VehicleProblem, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRows:
+    """A fleet, its rows by vehicle id, and its smallest separation with the two vehicles, among those that report."""
+
+    view: FleetView
+    rows: tuple[TableRow, ...]
+    smallest: tuple[float, int, int] | None
+
+
+class VehicleProblem(NamedTuple):
+    """Of one vehicle; the worst sorts first. `on_ground` is true for what only keeps it from flying."""
+
+    on_ground: bool
+    rank: int
+    code: str
+    text: str
+    advice: str  # what the operator should do; "" where nothing is known of the code
+
+
+SILENT = "SILENT"
+_RANKS = {flag: rank for rank, flag in enumerate(code_table().worst_first)}
+
+
+def fleets(snapshot: Snapshot) -> Iterator[FleetRows]:
+    """Distances are in the metric of `separation_m`, between vehicles whose positions are not old."""
+    for view in snapshot.fleets:
+        vehicles = [vehicle for vehicle in snapshot.vehicles if vehicle.fleet == view.name]
+        known = [vehicle for vehicle in vehicles if not vehicle.silent and not is_old(vehicle)]
+        pairs = [
+            (separation_distance_m(a.position_enu_m, b.position_enu_m), a.vehicle_id, b.vehicle_id)
+            for a, b in combinations(known, 2)
+        ]
+        nearest: dict[int, tuple[float, int]] = {}
+        for distance_m, one, other in sorted(pairs, reverse=True):  # the last one that stays is the nearest
+            nearest[one], nearest[other] = (distance_m, other), (distance_m, one)
+        size = len(vehicles) + len(view.missing_ids)
+        rows = [TableRow(v, size, _nearest(v, nearest.get(v.vehicle_id)), problems_of(v)) for v in vehicles]
+        yield FleetRows(view, tuple(rows), min(pairs, default=None))
+
+
+def _nearest(vehicle: VehicleView, on_the_ground: tuple[float, int] | None) -> str:
+    """As the vehicle itself sees it while it flies in formation, with traffic; else from the positions reported.
+
+    ! while the separation filter changes the command because of it.
+    """
+    if vehicle.silent:
+        return NONE
+    if seen := vehicle.nearest:
+        return f"{'!' if seen.changed_m_s2 > 0.0 else ''}{seen.name}:{metres_text(seen.distance_m)}"
+    return f"{on_the_ground[1]}:{metres_text(on_the_ground[0])}" if on_the_ground else NONE
+
+
+def problems_of(vehicle: VehicleView) -> tuple[VehicleProblem, ...]:
+    """The worst first. Of a silent vehicle nothing else is known."""
+    if vehicle.silent:
+        text = "no report any more; all that is known of it is old"
+        return (VehicleProblem(False, -1, SILENT, text, advice_of(Code.NO_REPORT)),)
+    flags = sorted(
+        VehicleProblem(False, _RANKS[flag.code], flag.code, flag.text, flag.advice) for flag in vehicle.flags
+    )
+    lacks = [(code, text) for code, _, text in (lack.partition(": ") for lack in vehicle.lacks)]
+    unranked = len(_RANKS)
+    return (
+        *flags,
+        *(VehicleProblem(True, _RANKS.get(code, unranked), code, text, advice_of(code)) for code, text in lacks),
+    )
+
+
+def _heading_parts(fleet: FleetRows) -> list[str]:
+    """What matters first. Parts for one or more lines; capitals mark what needs attention."""
+    view, vehicles = fleet.view, [row.vehicle for row in fleet.rows]
+    silent = [vehicle.vehicle_id for vehicle in vehicles if vehicle.silent]
+    open_ = [vehicle.vehicle_id for vehicle in vehicles if vehicle.network.security == "none"]
+    holders = sorted({vehicle.holder for vehicle in vehicles if vehicle.holder and not vehicle.silent})
+    parts = [f"fleet {view.name}: {count(len(vehicles))}"]
+    if silent:
+        parts.append(f"SILENT: {id_list(silent)}")
+    if view.missing_ids:
+        parts.append(f"NEVER HEARD: {id_list(view.missing_ids)}")
+    if fleet.smallest:
+        distance_m, one, other = fleet.smallest
+        parts.append(f"smallest separation {distance_m:.2f} m ({one}, {other})")
+    parts.append(f"leader {', '.join(map(str, view.leader_ids))}" if view.leader_ids else "NO LEADER")
+    if holders:
+        parts.append(f"operator {printable(', '.join(holders))}")
+    if open_:
+        parts.append(f"UNSECURED (strangers can command): {id_list(open_)}")
+    return parts
+
+
+def page(snapshot: Snapshot, width: int) -> list[Line]:
     """All of it, for a file, a pipe, or a terminal that is high enough."""
-    return [shown for fleet in fleets(vehicles, members) for shown in _fleet(fleet, max(width, NARROWEST))]
+    return [shown for fleet in fleets(snapshot) for shown in _fleet(fleet, max(width, NARROWEST))]
 
 
-def fit_page(
-    vehicles: Sequence[ReportedVehicle], width: int, height: int, now_s: float, members: Members = NO_MEMBERS
-) -> list[Line]:
+def fit_page(snapshot: Snapshot, width: int, height: int, now_s: float) -> list[Line]:
     """At most `height` lines. `now_s`: any clock; it turns the part that is shown."""
-    whole = page(vehicles, width, members)
+    whole = page(snapshot, width)
     if len(whole) <= height:
         return whole
-    width, all_fleets = max(width, NARROWEST), list(fleets(vehicles, members))
+    width, all_fleets = max(width, NARROWEST), list(fleets(snapshot))
     lines = []
     share, left = divmod(height, len(all_fleets))
     for number, fleet in enumerate(all_fleets):
@@ -100,7 +203,7 @@ def _left_out(rows: Sequence[TableRow], width: int) -> str:
     flagged = [row.vehicle.vehicle_id for row in rows if row.problems]
     text = f"  … {len(rows)} more"
     text += f", with flags: {id_list(flagged)}" if flagged else ", without flags"
-    return text if len(text) <= width else f"{text[: width - 1]}…"
+    return cut(text, width)
 
 
 def _cut_notes(notes: list[Line], room: int) -> list[Line]:
@@ -114,7 +217,7 @@ def _cut_notes(notes: list[Line], room: int) -> list[Line]:
 def _heading(fleet: FleetRows, width: int) -> Iterator[Line]:
     """Parts of the heading, as many on a line as fit."""
     text = ""
-    for part in heading(fleet):
+    for part in _heading_parts(fleet):
         joined = f"{text}, {part}" if text else part
         if text and len(joined) > width:
             yield from _wrapped(text + ",", "", width, Style.HEADING)
@@ -135,8 +238,11 @@ def _row(row: TableRow, columns: Sequence[Column]) -> Line:
 
 def _notes(fleet: FleetRows, width: int) -> Iterator[Line]:
     """Each problem once, with its vehicles and what to do."""
-    of_vehicles = ((row.vehicle.vehicle_id, problem) for row in fleet.rows for problem in row.problems)
-    for problem, vehicle_ids in group_problems(of_vehicles):
+    found: dict[VehicleProblem, list[int]] = {}
+    for row in fleet.rows:
+        for problem in row.problems:
+            found.setdefault(problem, []).append(row.vehicle.vehicle_id)
+    for problem, vehicle_ids in sorted(found.items()):
         style = Style.ALARM if problem.code == SILENT else Style.WARNING
         yield from _wrapped(f"{problem.code}, {id_list(vehicle_ids)}: {problem.text}", "  ", width, style)
         if problem.advice:
@@ -147,8 +253,8 @@ def _events(fleet: FleetRows, width: int) -> Iterator[Line]:
     """Each last event once, with its vehicles."""
     vehicle_ids: dict[str, list[int]] = {}
     for vehicle in (row.vehicle for row in fleet.rows):
-        if vehicle.status.last_event and not vehicle.silent:
-            vehicle_ids.setdefault(str(vehicle.status.last_event), []).append(vehicle.vehicle_id)
+        if vehicle.last_event and not vehicle.silent:
+            vehicle_ids.setdefault(vehicle.last_event, []).append(vehicle.vehicle_id)
     for event, ids in vehicle_ids.items():
         yield from _wrapped(f"{id_list(ids)}: {event}", "  ", width, Style.QUIET)
 
@@ -175,14 +281,10 @@ class Column:
     right: bool = False
 
 
-def _phase(row: TableRow) -> str:
-    return "SILENT" if row.vehicle.silent else row.vehicle.status.phase
-
-
 def _flag(row: TableRow) -> str:
     """The worst one and how many others; of a silent vehicle what it was when it last reported."""
     if row.vehicle.silent:
-        return f"was {row.vehicle.status.phase}{', armed' if row.vehicle.status.autopilot.armed else ''}"
+        return f"was {row.vehicle.phase}{', armed' if row.vehicle.armed else ''}"
     if not row.problems:
         return NONE
     others = f" +{len(row.problems) - 1}" if len(row.problems) > 1 else ""
@@ -190,78 +292,61 @@ def _flag(row: TableRow) -> str:
     return worst + others if len(worst + others) <= FLAG_WIDTH else worst
 
 
-def _nearest(row: TableRow) -> str:
-    """Its name and distance; ! while the separation filter changes the command."""
-    nearest = row.nearest
-    if nearest is None:
-        return NONE
-    return f"{'!' if nearest.avoided else ''}{nearest.name}:{metres_text(nearest.distance_m)}"
-
-
-def _live(text: Callable[[TableRow], str]) -> Callable[[TableRow], str]:
+def _live(text: Callable[[VehicleView], str]) -> Callable[[TableRow], str]:
     """A silent vehicle has no value that holds now."""
-    return lambda row: NONE if row.vehicle.silent else text(row)
+    return lambda row: NONE if row.vehicle.silent else text(row.vehicle)
 
 
-def _of_fresh_position(text: Callable[[TableRow], str]) -> Callable[[TableRow], str]:
-    """An old position has no value that holds now."""
-    return lambda row: NONE if row.vehicle.has_old_position else text(row)
+def _of_fresh_position(text: Callable[[VehicleView], str]) -> Callable[[TableRow], str]:
+    """An old position has no value that holds now either."""
+    return _live(lambda vehicle: NONE if is_old(vehicle) else text(vehicle))
 
 
-def _position(row: TableRow) -> str:
-    return " ".join(f"{x:z.1f}" for x in row.vehicle.status.motion.position_enu_m)
+def _error(vehicle: VehicleView) -> str:
+    return NONE if vehicle.error_to_slot_m is None else metres_text(vehicle.error_to_slot_m)
 
 
-def _error(row: TableRow) -> str:
-    error_m = row.vehicle.error_to_slot_m
-    return NONE if error_m is None else metres_text(error_m)
+def _age(row: TableRow) -> str:
+    vehicle = row.vehicle
+    age_s = vehicle.age_s if vehicle.silent else vehicle.data_age_s
+    return duration_text(inf if age_s is None else age_s)
 
 
-def _battery(row: TableRow) -> str:
-    percent = row.vehicle.status.autopilot.battery_percent
-    return NONE if percent is None else f"{percent:.0f}%"
+def _battery(vehicle: VehicleView) -> str:
+    return NONE if vehicle.battery_percent is None else f"{vehicle.battery_percent:.0f}%"
 
 
-def _estimator(row: TableRow) -> str:
-    error = row.vehicle.status.motion.position_error
-    return NONE if error is None else metres_text(error.horizontal_m)
-
-
-def _event(row: TableRow) -> str:
-    return str(row.vehicle.status.last_event or NONE)
+def _estimator(vehicle: VehicleView) -> str:
+    return NONE if vehicle.position_error_m is None else metres_text(vehicle.position_error_m[0])
 
 
 FLAG_WIDTH = 20
 COLUMNS = (
     Column("id", 3, 0, lambda row: str(row.vehicle.vehicle_id), right=True),
-    Column("phase", 9, 0, _phase),
-    Column("mode", 12, 80, _live(lambda row: row.vehicle.status.autopilot.mode_name)),
-    Column("armed", 5, 42, _live(lambda row: "armed" if row.vehicle.status.autopilot.armed else NONE)),
+    Column("phase", 9, 0, lambda row: SILENT if row.vehicle.silent else row.vehicle.phase),
+    Column("mode", 12, 80, _live(lambda vehicle: vehicle.mode)),
+    Column("armed", 5, 42, _live(lambda vehicle: "armed" if vehicle.armed else NONE)),
     Column("batt", 4, 47, _live(_battery), right=True),
     Column("error", 6, 60, _live(_error), right=True),
-    Column(
-        "age",
-        5,
-        53,
-        lambda row: duration_text(row.vehicle.age_s if row.vehicle.silent else row.vehicle.data_age_s),
-        right=True,
-    ),
-    Column("nearest", 8, 69, _nearest, right=True),
-    Column("PrC", 3, 84, _live(lambda row: str(row.vehicle.status.leadership.prc)), right=True),
-    Column("formation", 13, 98, _live(lambda row: formation_text(row.vehicle.status))),
-    Column("Hz", 4, 103, _live(lambda row: f"{row.vehicle.report.timing.rate_hz:.1f}"), right=True),
-    Column("late", 5, 109, _live(lambda row: duration_text(row.vehicle.report.timing.late_us.p99 / 1e6)), right=True),
+    Column("age", 5, 53, _age, right=True),
+    Column("nearest", 8, 69, lambda row: row.nearest, right=True),
+    Column("PrC", 3, 84, _live(lambda vehicle: str(vehicle.prc)), right=True),
+    Column("formation", 13, 98, _live(lambda vehicle: vehicle.formation)),
+    Column("Hz", 4, 103, _live(lambda vehicle: f"{vehicle.timing.rate_hz:.1f}"), right=True),
+    Column("late", 5, 109, _live(lambda vehicle: duration_text(vehicle.timing.late_p99_ms / 1e3)), right=True),
     Column(
         "peers",
         5,
         115,
-        _live(lambda row: f"{len(row.vehicle.status.neighbourhood.peers)}/{row.fleet_size - 1}"),
+        lambda row: _live(lambda vehicle: f"{len(vehicle.peers)}/{row.fleet_size - 1}")(row),
         right=True,
     ),
-    Column("rej", 4, 120, _live(lambda row: count_text(row.vehicle.rejected)), right=True),
-    Column("position", 21, 142, _live(_of_fresh_position(_position)), right=True),
-    Column("sigma", 5, 148, _live(_of_fresh_position(_estimator)), right=True),
-    Column("ref", 7, 156, _live(lambda row: reference_text(row.vehicle.status)), right=True),
+    Column("rej", 4, 120, _live(lambda vehicle: count_text(vehicle.rejected)), right=True),
+    Column(
+        "position", 21, 142, _of_fresh_position(lambda v: " ".join(f"{x:z.1f}" for x in v.position_enu_m)), right=True
+    ),
+    Column("sigma", 5, 148, _of_fresh_position(_estimator), right=True),
+    Column("ref", 7, 156, _live(lambda vehicle: vehicle.reference), right=True),
     Column("flag", FLAG_WIDTH, 0, _flag),
 )
 EVENT_FROM_COLUMNS = 185
@@ -271,7 +356,14 @@ def columns_for(width: int) -> list[Column]:
     """The columns for a terminal of this width; on a wide one the last event takes the rest of it."""
     shown = [column for column in COLUMNS if width >= column.from_columns]
     if width >= EVENT_FROM_COLUMNS:
-        shown.append(Column("event", width - table_width(shown) - len(SEPARATOR), EVENT_FROM_COLUMNS, _event))
+        shown.append(
+            Column(
+                "event",
+                width - table_width(shown) - len(SEPARATOR),
+                EVENT_FROM_COLUMNS,
+                lambda row: row.vehicle.last_event or NONE,
+            )
+        )
     return shown
 
 
@@ -281,7 +373,7 @@ def table_width(columns: Sequence[Column]) -> int:
 
 def cells(row: TableRow, columns: Sequence[Column]) -> list[str]:
     """One text for each column, none wider than its column."""
-    return [_cut(printable(column.text(row)), column.width) for column in columns]
+    return [cut(printable(column.text(row)), column.width) for column in columns]
 
 
 def line(texts: Sequence[str], columns: Sequence[Column]) -> str:
@@ -293,7 +385,7 @@ def line(texts: Sequence[str], columns: Sequence[Column]) -> str:
     return SEPARATOR.join(padded).rstrip()
 
 
-def _cut(text: str, width: int) -> str:
+def cut(text: str, width: int) -> str:
     return text if len(text) <= width else f"{text[: width - 1]}…"
 
 

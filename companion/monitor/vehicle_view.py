@@ -6,15 +6,16 @@ from functools import lru_cache
 from itertools import zip_longest
 
 from companion.config.fleet import FleetConfig, FleetSettings
+from companion.geometry.vectors import rounded
 from companion.ground.fleet_state import SILENT_AFTER_S, ReportedVehicle, formation_text, reference_text
 from companion.monitor.api import FlagView, NearestView, NeighbourView, Severity, TimingView, VehicleView
 from companion.tools.explanations import action_words
 from companion.types.code_table import code_entries
 from companion.types.flight import FLAG_TEXTS, STREAMING, HealthFlag
-from companion.types.status import Status
-from companion.types.values import Vector3
+from companion.types.status import NearestVehicle, NeighbourReport
 from companion.wire.messages import Timing
 
+MM = 3  # decimals of metres: half the bytes of a snapshot would be digits below a millimetre
 NEVER_S = 1e5  # an agent without a position reports an age beyond this
 
 
@@ -26,60 +27,46 @@ def is_old(vehicle: VehicleView) -> bool:
 def vehicle_view(vehicle: ReportedVehicle, report_rate_hz: float, fleet: FleetConfig | None) -> VehicleView:
     """`fleet` is None without the fleet file."""
     status = vehicle.status
-    nearest, error, beacon = (
-        status.safety.separation.nearest,
-        status.motion.position_error,
-        status.leadership.leader_beacon,
-    )
+    agent, autopilot, motion, safety = status.agent, status.autopilot, status.motion, status.safety
+    lead, formation, control = status.leadership, status.formation, status.control
+    nearest, error, beacon = safety.separation.nearest, motion.position_error, lead.leader_beacon
+    streaming = status.phase in STREAMING
     return VehicleView(
-        fleet=status.agent.fleet,
-        vehicle_id=status.agent.vehicle_id,
+        fleet=agent.fleet,
+        vehicle_id=agent.vehicle_id,
         silent=vehicle.silent,
         age_s=round(vehicle.age_s, 3),
         data_age_s=round(vehicle.data_age_s, 3) if vehicle.data_age_s < NEVER_S else None,
         report_rate_hz=round(report_rate_hz, 1),
         phase=status.phase,
-        role=status.leadership.role,
-        mode=status.autopilot.mode_name,
-        armed=status.autopilot.armed,
-        landed=status.autopilot.landed.name.lower(),
-        position_enu_m=_in_mm(status.motion.position_enu_m),
-        velocity_enu_m_s=_in_mm(status.motion.velocity_enu_m_s),
-        position_error_m=(round(error.horizontal_m, 3), round(error.vertical_m, 3)) if error else None,
-        battery_percent=None
-        if status.autopilot.battery_percent is None
-        else round(status.autopilot.battery_percent, 1),
-        law=status.agent.law,
-        prc=status.leadership.prc,
-        epoch=status.leadership.epoch,
+        role=lead.role,
+        mode=autopilot.mode_name,
+        armed=autopilot.armed,
+        landed=autopilot.landed.name.lower(),
+        position_enu_m=rounded(motion.position_enu_m, MM),
+        velocity_enu_m_s=rounded(motion.velocity_enu_m_s, MM),
+        position_error_m=(round(error.horizontal_m, MM), round(error.vertical_m, MM)) if error else None,
+        battery_percent=_known(autopilot.battery_percent, 1),
+        law=agent.law,
+        prc=lead.prc,
+        epoch=lead.epoch,
         leader_id=beacon.leader_id if beacon else None,
-        leader_beacon_age_s=status.leadership.leader_beacon_age_s,
-        neighbours=_neighbours(status),
+        leader_beacon_age_s=lead.leader_beacon_age_s,
+        neighbours=_neighbours(status.neighbourhood),
         peers=status.neighbourhood.peers,
-        slot_position_enu_m=_in_mm(vehicle.slot_position_enu_m) if vehicle.slot_position_enu_m else None,
-        slot_offset_enu_m=_in_mm(status.formation.slot.position_enu_m),
-        error_to_slot_m=None if vehicle.error_to_slot_m is None else round(vehicle.error_to_slot_m, 3),
-        reference_enu_m=_in_mm(status.formation.reference_enu_m) if status.formation.reference_enu_m else None,
+        slot_position_enu_m=rounded(vehicle.slot_position_enu_m, MM) if vehicle.slot_position_enu_m else None,
+        slot_offset_enu_m=rounded(formation.slot.position_enu_m, MM),
+        error_to_slot_m=_known(vehicle.error_to_slot_m, MM),
+        reference_enu_m=rounded(formation.reference_enu_m, MM) if formation.reference_enu_m else None,
         formation=formation_text(status),
         reference=reference_text(status),
         holder=status.command.holder,
-        flags=tuple(
-            [flag_view(flag, status.autopilot.armed, status.phase in STREAMING, fleet) for flag in vehicle.flags]
-        ),
-        lacks=tuple(map(str, status.safety.lacks)),
-        refuses_return=str(status.safety.refuses_return) if status.safety.refuses_return else None,
-        nearest=(
-            NearestView(
-                nearest.name,
-                round(nearest.distance_m, 3),
-                round(nearest.required_m, 3),
-                round(status.safety.separation.changed_m_s2, 3),
-            )
-            if nearest
-            else None
-        ),
-        hover_thrust_norm=round(status.control.hover_thrust_norm, 4),
-        wind_acceleration_enu_m_s2=_in_mm(status.control.disturbance_enu_m_s2),
+        flags=tuple([flag_view(flag, autopilot.armed, streaming, fleet) for flag in vehicle.flags]),
+        lacks=tuple(map(str, safety.lacks)),
+        refuses_return=str(safety.refuses_return) if safety.refuses_return else None,
+        nearest=_nearest(nearest, safety.separation.changed_m_s2) if nearest else None,
+        hover_thrust_norm=round(control.hover_thrust_norm, 4),
+        wind_acceleration_enu_m_s2=rounded(control.disturbance_enu_m_s2, MM),
         timing=_timing(vehicle.report.timing),
         network=status.network,
         recording=status.recording,
@@ -88,25 +75,20 @@ def vehicle_view(vehicle: ReportedVehicle, report_rate_hz: float, fleet: FleetCo
     )
 
 
-def _in_mm(vector: Vector3) -> Vector3:
-    """Rounded: half the bytes of a snapshot are digits below a millimetre."""
-    x, y, z = vector
-    return (round(x, 3), round(y, 3), round(z, 3))
+def _known(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)
 
 
-def _neighbours(status: Status) -> tuple[NeighbourView, ...]:
+def _nearest(nearest: NearestVehicle, changed_m_s2: float) -> NearestView:
+    distance_m, required_m = round(nearest.distance_m, MM), round(nearest.required_m, MM)
+    return NearestView(nearest.name, distance_m, required_m, round(changed_m_s2, MM))
+
+
+def _neighbours(reported: NeighbourReport) -> tuple[NeighbourView, ...]:
     """A report of an older agent has neither weights nor ages."""
-    known = len(status.neighbourhood.neighbours)
-    return tuple(
-        NeighbourView(
-            vehicle_id, None if weight is None else round(weight, 4), None if age_s is None else round(age_s, 3)
-        )
-        for vehicle_id, weight, age_s in zip_longest(
-            status.neighbourhood.neighbours,
-            status.neighbourhood.weights[:known],
-            status.neighbourhood.neighbour_ages_s[:known],
-        )
-    )
+    ids, known = reported.neighbours, len(reported.neighbours)
+    rows = zip_longest(ids, reported.weights[:known], reported.neighbour_ages_s[:known])
+    return tuple(NeighbourView(i, _known(weight, 4), _known(age_s, 3)) for i, weight, age_s in rows)
 
 
 def _timing(timing: Timing) -> TimingView:

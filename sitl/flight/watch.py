@@ -92,12 +92,10 @@ class FlightWatch:
 
     def _follow_slot(self, status: Status, now_s: float) -> None:
         """Of a constant slot only the first and the last time are kept."""
-        if status.formation.slot.moves:
-            self.slot_moved_s[status.agent.vehicle_id] = now_s
-        slots, slot_enu_m = (
-            self._slots[status.agent.vehicle_id],
-            turned_slot(status.formation.slot, status.formation.heading).position_enu_m,
-        )
+        vehicle_id, slot, heading = status.agent.vehicle_id, status.formation.slot, status.formation.heading
+        if slot.moves:
+            self.slot_moved_s[vehicle_id] = now_s
+        slots, slot_enu_m = self._slots[vehicle_id], turned_slot(slot, heading).position_enu_m
         if len(slots) > 1 and slots[-1][1] == slots[-2][1] == slot_enu_m:
             slots.pop()
         slots.append((now_s, slot_enu_m))
@@ -144,20 +142,17 @@ class FlightWatch:
 
     def _follow_reference(self, status: Status, now_s: float) -> None:
         """The RFT continues from one formation to the next until the vehicles are disarmed."""
-        if status.phase is FlightPhase.FORMATION and status.formation.reference_enu_m is not None:
-            self.led_enu_m.append((now_s, status.formation.reference_enu_m))
+        reference_enu_m, lead = status.formation.reference_enu_m, status.leadership
+        if status.phase is FlightPhase.FORMATION and reference_enu_m is not None:
+            self.led_enu_m.append((now_s, reference_enu_m))
         if not status.autopilot.armed:
             self._flown_s = 0.0
-        elif (
-            status.leadership.role is Role.LEADER
-            and status.leadership.leader_beacon
-            and status.leadership.leader_beacon.reference_s > 0.0
-        ):
-            self._flown_s = status.leadership.leader_beacon.reference_s
-            if status.formation.reference_enu_m is not None:
+        elif lead.role is Role.LEADER and lead.leader_beacon and lead.leader_beacon.reference_s > 0.0:
+            self._flown_s = lead.leader_beacon.reference_s
+            if reference_enu_m is not None:
                 while self.reference and self.reference[-1][0] >= self._flown_s:
                     self.reference.pop()  # of an earlier flight, or the last report of the leader before
-                self.reference.append((self._flown_s, status.formation.reference_enu_m))
+                self.reference.append((self._flown_s, reference_enu_m))
 
     def _follow_topology(self, status: Status, now_s: float) -> None:
         vehicle_id, last = status.agent.vehicle_id, self._drawn.get(status.agent.vehicle_id)

@@ -232,11 +232,6 @@ class TopologyChange(Struct, frozen=True, kw_only=True):
 
     def same_as(self, status: Status) -> bool:
         own = (self.role, self.epoch, self.prc, self.neighbours, self.in_formation)
-        reported = (
-            status.leadership.role,
-            status.leadership.epoch,
-            status.leadership.prc,
-            status.neighbourhood.neighbours,
-            status.phase is FlightPhase.FORMATION,
-        )
+        lead, neighbours = status.leadership, status.neighbourhood.neighbours
+        reported = (lead.role, lead.epoch, lead.prc, neighbours, status.phase is FlightPhase.FORMATION)
         return own == reported

@@ -6,18 +6,22 @@ import io
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 
 import pytest
-from msgspec.structs import replace
 
+from common import with_fields
+from companion.config.fleet import FleetConfig
 from companion.config.vehicle import ZenohEndpoints
 from companion.ground.answers import TimedReply
 from companion.ground.commands import MACHINE_CLOCK
-from companion.ground.fleet_state import FleetState, ReportedVehicle, fold, vehicles_at
 from companion.link.fleet.zenoh_link import ZenohLink
+from companion.monitor.api import Snapshot
+from companion.monitor.snapshot import Picture
+from companion.monitor.sources import Moment
+from companion.monitor.tui import NO_FILES
 from companion.types.autopilot import LandedState, PositionError
 from companion.types.commands import Command, CommandName, CommandReply, Content, Lead, ReferenceChange
 from companion.types.flight import RULES, FlightPhase, HealthFlag, Role
@@ -39,7 +43,6 @@ from companion.types.status import (
     Status,
 )
 from companion.types.tick import Outbox
-from companion.types.values import flat_fields
 from companion.wire.messages import Percentiles, StatusReport, Timing
 from companion.wire.rounding import round_outbox
 from processes import free_port
@@ -72,23 +75,10 @@ STATUS = Status(
 )
 
 
-def status_with(status: Status, **changes: object) -> Status:
-    """The status with these values, named without the part that they stand in."""
-    parts: dict[str, dict[str, object]] = {}
-    for path, found in flat_fields(Status).items():
-        if found.name in changes:
-            parts.setdefault(path.rpartition(".")[0], {})[found.name] = changes.pop(found.name)
-    assert not changes, changes
-    whole = parts.pop("", {})
-    return replace(
-        status, **whole, **{name: replace(getattr(status, name), **values) for name, values in parts.items()}
-    )
-
-
 def reported(vehicle_id: int, **changes: object) -> Status:
     """A follower in formation, 1.5 m behind the vehicle before it, without an error."""
     behind_enu_m = (-1.5 * (vehicle_id - 1), 0.0, 0.0)
-    status = status_with(
+    status = with_fields(
         STATUS,
         vehicle_id=vehicle_id,
         position_enu_m=(behind_enu_m[0], 0.0, 2.5),
@@ -96,7 +86,7 @@ def reported(vehicle_id: int, **changes: object) -> Status:
         prc=vehicle_id,
         peers=(1, 2),
     )
-    return status_with(status, **changes)
+    return with_fields(status, **changes)
 
 
 def leader(**changes: object) -> Status:
@@ -105,18 +95,31 @@ def leader(**changes: object) -> Status:
     return reported(1, **leading | changes)
 
 
-def rows_of(*statuses: Status, silent: tuple[int, ...] = (), now_s: float = 100.04) -> list[ReportedVehicle]:
-    """The rows 40 ms after the reports; those of `silent` vehicles came 4.2 s before."""
-    state = FleetState()
-    for status in statuses:
-        received_s = 95.84 if status.agent.vehicle_id in silent else 100.0
-        state = fold(state, StatusReport(status, TIMING), received_s)
-    return vehicles_at(state, now_s)
+def picture_of(
+    *statuses: Status, silent: tuple[int, ...] = (), fleets: Mapping[str, FleetConfig] = NO_FILES
+) -> Picture:
+    """A picture with the reports at 100 s; those of `silent` vehicles came 4.2 s before."""
+    picture = Picture(fleets, "anna@ground")
+    timed = [
+        (95.84 if status.agent.vehicle_id in silent else 100.0, StatusReport(status, TIMING)) for status in statuses
+    ]
+    picture.receive(sorted(timed, key=lambda report: report[0]))
+    return picture
 
 
-def troubled_fleet() -> list[ReportedVehicle]:
+NOW = Moment(100.04, 1.8e9)
+
+
+def snapshot_of(
+    *statuses: Status, silent: tuple[int, ...] = (), fleets: Mapping[str, FleetConfig] = NO_FILES
+) -> Snapshot:
+    """The snapshot 40 ms after the reports."""
+    return picture_of(*statuses, silent=silent, fleets=fleets).snapshot(*NOW)
+
+
+def troubled_fleet() -> Snapshot:
     """Five vehicles: a sound leader, one outside the fence with a late tick, one silent, one on the ground, one avoiding."""
-    return rows_of(
+    return snapshot_of(
         leader(),
         reported(2, flags=(HealthFlag.TICK_LATE, HealthFlag.OUTSIDE_FENCE), position_enu_m=(-1.4, 0.3, 2.5)),
         reported(3),
@@ -140,11 +143,11 @@ def troubled_fleet() -> list[ReportedVehicle]:
     )
 
 
-def large_fleet() -> list[ReportedVehicle]:
+def large_fleet() -> Snapshot:
     """Fifty vehicles; 17 has a low battery, 33 is silent."""
     flagged = reported(17, flags=(HealthFlag.BATTERY_LOW,), battery_percent=21.0)
     others = (reported(i) for i in range(2, 51) if i != 17)
-    return rows_of(leader(), flagged, *others, silent=(33,))
+    return snapshot_of(leader(), flagged, *others, silent=(33,))
 
 
 C, P = CommandName, FlightPhase
@@ -237,7 +240,7 @@ class DirectedVehicles:
         reasons = self.refuses.get((vehicle_id, name))
         if reasons:
             return CommandReply(vehicle_id, 1, False, Code.WRONG_PHASE, reasons.pop(0), "anna@ground")
-        self.statuses[vehicle_id] = status_with(self.statuses[vehicle_id], phase=RULES[name].via)
+        self.statuses[vehicle_id] = with_fields(self.statuses[vehicle_id], phase=RULES[name].via)
         self._due[vehicle_id] = (time.monotonic() + DOING_S * vehicle_id, name)
         return CommandReply(vehicle_id, 1, True, Code.PHASE_CHANGED, "yes", "anna@ground")
 
@@ -257,12 +260,12 @@ class DirectedVehicles:
         before = self.statuses[vehicle_id]
         if event := self.falls.get((vehicle_id, name)):
             fallen_to = P.OBSERVE if "-> observe" in event else RULES[name].on_failure
-            self.statuses[vehicle_id] = status_with(
+            self.statuses[vehicle_id] = with_fields(
                 before, phase=fallen_to, last_event=Notice(Code.PHASE_CHANGED, event)
             )
             return
         up = name in (C.TAKEOFF, C.FORM, C.HOLD)
-        self.statuses[vehicle_id] = status_with(
+        self.statuses[vehicle_id] = with_fields(
             before,
             phase=RULES[name].to,
             armed=name not in (C.PREPARE, C.LAND, C.RETURN, C.DISARM),
@@ -270,7 +273,7 @@ class DirectedVehicles:
         )
 
     def change(self, vehicle_id: int, **what: object) -> None:
-        self.statuses[vehicle_id] = status_with(self.statuses[vehicle_id], **what)
+        self.statuses[vehicle_id] = with_fields(self.statuses[vehicle_id], **what)
 
 
 class DirectedFlight:

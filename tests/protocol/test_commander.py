@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 from msgspec.structs import replace
 
+from common import with_fields
 from companion.config.fleet import FleetConfig
 from companion.ground.changes import FleetAction
 from companion.ground.commands import check_content
@@ -20,7 +21,7 @@ from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code
 from companion.wire.messages import StatusReport
-from ground_fleet import LinkedVehicles, accept, linked_vehicles, status_with
+from ground_fleet import LinkedVehicles, accept, linked_vehicles
 from live_site import TOKEN, Served, served_live, until_served
 from tests.bench.monitor_load import SteadyFleet
 
@@ -184,7 +185,7 @@ class _Far:
     def report(self, vehicle_id: int, time_s: float) -> StatusReport:
         report = self._load.report(vehicle_id, time_s)
         slot = FlownSlot((1e200 if vehicle_id == 2 else 0.0, 4.0 * vehicle_id, 0.0))
-        return replace(report, status=status_with(report.status, slot=slot))
+        return replace(report, status=with_fields(report.status, slot=slot))
 
 
 @pytest.mark.parametrize(

@@ -551,7 +551,7 @@ def test_a_malformed_command_is_counted(port: int, payload: bytes, key: str) -> 
 
 def test_the_ground_connects_no_vehicles_with_each_other(port: int, other_port: int) -> None:
     """Nor two fleets: it knows where two agents listen, and neither learns of the other."""
-    second_report = replace(REPORT, status=replace(REPORT.status, vehicle_id=2))
+    second_report = replace(REPORT, status=with_fields(REPORT.status, vehicle_id=2))
     with (
         vehicle(1, listen=(endpoint(port),)) as first,
         vehicle(2, listen=(endpoint(other_port),)) as second,

@@ -31,7 +31,6 @@ from companion.types.notices import Code, Notice
 from companion.types.peers import ReceivedPeerPacket
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import Vector3
-from ground_fleet import status_with
 from one_agent import FLEET, POINT, AgentFlight
 
 
@@ -257,7 +256,7 @@ def test_a_status_comes_ten_times_a_second() -> None:
     flight = AgentFlight()
     statuses = [status for _ in range(100) if (status := flight.tick().status)]
     assert len(statuses) == 20
-    assert status_with(statuses[-1], state_age_s=0.0).phase is FlightPhase.OBSERVE
+    assert with_fields(statuses[-1], state_age_s=0.0).phase is FlightPhase.OBSERVE
 
 
 # ---------------------------------------------------------------- pilot take-over, stale telemetry

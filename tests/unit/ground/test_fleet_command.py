@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from common import ROOT
+from common import ROOT, with_fields
 from companion.cli.fleet import FLEET, fleet_request
 from companion.cli.main import main
 from companion.config.file import ConfigError
@@ -33,7 +33,7 @@ from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot, Heading
 from companion.types.status import Status
 from companion.types.values import ZERO3, Vector3
-from ground_fleet import directed_status, status_with
+from ground_fleet import directed_status
 
 PAIR = str(ROOT / "config" / "fleets" / "pair.yaml")
 AT = ["--at", "0", "-5", "4"]
@@ -181,7 +181,7 @@ def slots_by(*arguments: str) -> dict[int, Vector3]:
 def flying(phase: FlightPhase, **where_enu_m: Vector3) -> list[Status]:
     """Both with FLOWN as their slots, at these positions."""
     return [
-        status_with(
+        with_fields(
             directed_status(i), phase=phase, slot=FlownSlot(slot), position_enu_m=where_enu_m.get(f"v{i}", slot)
         )
         for i, slot in FLOWN.items()
@@ -196,7 +196,7 @@ def test_slots_are_assigned_by_position_before_a_formation() -> None:
 
 
 def test_positions_are_in_the_frame_of_the_formation() -> None:
-    turned = [status_with(said, heading=Heading(pi / 2.0)) for said in flying(FlightPhase.HOLD, v1=(0.0, 3.0, 1.0))]
+    turned = [with_fields(said, heading=Heading(pi / 2.0)) for said in flying(FlightPhase.HOLD, v1=(0.0, 3.0, 1.0))]
     assert positions_enu_m(turned)[1] == pytest.approx((3.0, 0.0, 1.0))
 
 

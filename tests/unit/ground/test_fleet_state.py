@@ -6,6 +6,7 @@ from math import inf, pi, sqrt
 
 import pytest
 
+from common import with_fields
 from companion.ground.fleet_state import MOST_VEHICLES, SILENT_AFTER_S, FleetState, fold, vehicles_at
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag, Role
@@ -14,9 +15,9 @@ from companion.types.status import Status
 from companion.types.values import Vector3
 from companion.wire.messages import StatusReport
 from ground_fleet import STATUS as REPORTED_STATUS
-from ground_fleet import TIMING, status_with
+from ground_fleet import TIMING
 
-STATUS = status_with(
+STATUS = with_fields(
     REPORTED_STATUS,
     position_enu_m=(0.0, 0.0, 1.0),
     velocity_enu_m_s=(0.0, 0.0, 0.0),
@@ -28,11 +29,11 @@ STATUS = status_with(
 
 def leader(reference_enu_m: Vector3 = (1.0, 0.0, 1.0), **changes: object) -> Status:
     changes = {"role": Role.LEADER, "prc": 1, "reference_enu_m": reference_enu_m} | changes
-    return status_with(STATUS, **changes)
+    return with_fields(STATUS, **changes)
 
 
 def follower(vehicle_id: int, **changes: object) -> Status:
-    return status_with(STATUS, vehicle_id=vehicle_id, **changes)
+    return with_fields(STATUS, vehicle_id=vehicle_id, **changes)
 
 
 def received(*statuses: Status, at_s: float = 100.0, state: FleetState | None = None) -> FleetState:

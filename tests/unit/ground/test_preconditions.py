@@ -2,20 +2,21 @@
 
 import pytest
 
+from common import with_fields
 from companion.ground.answers import AnswerKind, Outcome
 from companion.ground.goals import advise_divided_fleet, check_all
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
-from ground_fleet import directed_status, status_with
+from ground_fleet import directed_status
 
 P, C, F = FlightPhase, CommandName, HealthFlag
 TOO_CLOSE = Notice(Code.RETURN_PATH_TOO_CLOSE, "separation: 0.4 m")
 
 
 def report(vehicle_id: int, phase: FlightPhase, **more: object) -> Status:
-    return status_with(directed_status(vehicle_id), phase=phase, **({"flags": ()} | more))
+    return with_fields(directed_status(vehicle_id), phase=phase, **({"flags": ()} | more))
 
 
 def check(name: CommandName, *reports: Status) -> dict[int, Outcome]:

@@ -4,6 +4,7 @@ from math import pi
 
 import pytest
 
+from common import with_fields
 from companion.ground.reports import (
     checks_of,
     leader_check,
@@ -17,13 +18,13 @@ from companion.types.flight import HealthFlag, Role
 from companion.types.formation import FlownSlot, Heading, HeldReference
 from companion.types.notices import Code, Notice
 from companion.types.values import ZERO3
-from ground_fleet import directed_status, status_with
+from ground_fleet import directed_status
 
-READY = status_with(directed_status(1), peers=(2,), battery_percent=80.0, position_error=PositionError(0.1, 0.2))
+READY = with_fields(directed_status(1), peers=(2,), battery_percent=80.0, position_error=PositionError(0.1, 0.2))
 
 
 def test_a_vehicle_without_findings_is_ready() -> None:
-    checks = checks_of(status_with(READY, flags=(HealthFlag.LEADER_LOST,)), (1, 2), 1)
+    checks = checks_of(with_fields(READY, flags=(HealthFlag.LEADER_LOST,)), (1, 2), 1)
     assert all(check.passed for check in checks)
     lines = readiness_lines({1: checks}, [], 3.0)
     assert lines[0] == "vehicle 1  ready"
@@ -48,7 +49,7 @@ def test_a_vehicle_without_findings_is_ready() -> None:
     ],
 )
 def test_each_finding_fails_one_check(change: dict[str, object], name: str, code: Code) -> None:
-    checks = checks_of(status_with(READY, **change), (1, 2), 1)  # type: ignore[arg-type]
+    checks = checks_of(with_fields(READY, **change), (1, 2), 1)  # type: ignore[arg-type]
     failed = [check for check in checks if not check.passed]
     assert [(check.name, check.codes) for check in failed] == [(name, (code,))]
     assert failed[0].found.startswith(f"{code}: ")
@@ -57,7 +58,7 @@ def test_each_finding_fails_one_check(change: dict[str, object], name: str, code
 
 def test_warnings_of_the_audit_are_shown_and_fail_no_check() -> None:
     fence = Notice(Code.AUTOPILOT_FENCE_OFF, "GF_ACTION: 0 (nothing)")
-    warned = status_with(READY, warnings=(fence, Notice(Code.BATTERY_LOW, "battery: 35 %")))
+    warned = with_fields(READY, warnings=(fence, Notice(Code.BATTERY_LOW, "battery: 35 %")))
     checks = checks_of(warned, (1, 2), 1)
     assert all(check.passed for check in checks)
     found = {check.name: check.found for check in checks}
@@ -70,7 +71,7 @@ def test_warnings_of_the_audit_are_shown_and_fail_no_check() -> None:
 
 
 def test_a_fleet_without_a_leader_is_not_ready() -> None:
-    follower, leader = status_with(READY, role=Role.FOLLOWER), status_with(READY, role=Role.LEADER)
+    follower, leader = with_fields(READY, role=Role.FOLLOWER), with_fields(READY, role=Role.LEADER)
     missing = leader_check({1: follower, 2: follower}, (1, 2))
     assert missing.codes == (Code.LEADER_LOST,)
     assert "companion fleet leader ID" in missing.found
@@ -80,12 +81,12 @@ def test_a_fleet_without_a_leader_is_not_ready() -> None:
 
 def test_each_health_flag_fails_one_check() -> None:
     for flag in set(HealthFlag) - {HealthFlag.LEADER_LOST, HealthFlag.LEADER_AWAITED}:
-        checks = checks_of(status_with(READY, flags=(flag,)), (1, 2), 1)
+        checks = checks_of(with_fields(READY, flags=(flag,)), (1, 2), 1)
         assert sum(not check.passed for check in checks) == 1, flag
 
 
 def test_the_status_names_the_operator_and_missing_vehicles() -> None:
-    lines = status_lines({1: status_with(READY, holder="anna@ground")}, [2], 3.0)
+    lines = status_lines({1: with_fields(READY, holder="anna@ground")}, [2], 3.0)
     assert "operator anna@ground" in lines[1]
     assert lines[-1] == "vehicle 2   missing  NO_REPORT: no report for 3 s"
 
@@ -94,8 +95,8 @@ def test_the_status_names_the_operator_and_missing_vehicles() -> None:
 def test_the_status_fits_the_terminal(columns: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", columns)
     event = Notice(Code.PROCEDURE_FAILED, "arm -> ready (arm failed: " + "the autopilot refuses; " * 6 + ")")
-    busy = status_with(READY, position_enu_m=(-1234.56, 1234.56, 123.4), mode_name="AUTO.PRECLAND", last_event=event)
-    lines = status_lines({250: status_with(busy, vehicle_id=250, holder="a" * 63, target_age_s=0.3)}, [], 3.0)
+    busy = with_fields(READY, position_enu_m=(-1234.56, 1234.56, 123.4), mode_name="AUTO.PRECLAND", last_event=event)
+    lines = status_lines({250: with_fields(busy, vehicle_id=250, holder="a" * 63, target_age_s=0.3)}, [], 3.0)
     assert max(map(len, lines)) <= min(int(columns), 100)
 
 
@@ -108,11 +109,11 @@ def test_the_status_fits_the_terminal(columns: str, monkeypatch: pytest.MonkeyPa
     ],
 )
 def test_the_status_shows_the_flown_formation_and_the_next(slot: FlownSlot, text: str) -> None:
-    assert f" formation {text}, reference -, operator -" in status_lines({1: status_with(READY, slot=slot)}, [], 3.0)[1]
+    assert f" formation {text}, reference -, operator -" in status_lines({1: with_fields(READY, slot=slot)}, [], 3.0)[1]
 
 
 def test_the_status_shows_the_heading_of_a_turned_formation() -> None:
-    assert " formation 0 at 90 deg, " in status_lines({1: status_with(READY, heading=Heading(pi / 2.0))}, [], 3.0)[1]
+    assert " formation 0 at 90 deg, " in status_lines({1: with_fields(READY, heading=Heading(pi / 2.0))}, [], 3.0)[1]
 
 
 @pytest.mark.parametrize(
@@ -126,7 +127,7 @@ def test_the_status_shows_the_heading_of_a_turned_formation() -> None:
 def test_the_status_shows_the_reference_and_the_age_of_its_target(
     held: HeldReference, target_age_s: float | None, text: str
 ) -> None:
-    lines = status_lines({1: status_with(READY, reference=held, target_age_s=target_age_s)}, [], 3.0)
+    lines = status_lines({1: with_fields(READY, reference=held, target_age_s=target_age_s)}, [], 3.0)
     assert f" reference {text}, operator -, battery 80 %" in lines[1]
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
+from common import with_fields
 from companion.ground.answers import AnswerKind, Outcome
 from companion.ground.commands import wait_for
 from companion.ground.goals import Goal, end_of, goal_of, progress_text
@@ -14,13 +15,13 @@ from companion.types.formation import FlownSlot, FormationChange, HeldReference
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
 from companion.types.values import ZERO3
-from ground_fleet import directed_status, status_with
+from ground_fleet import directed_status
 
 P, C = FlightPhase, CommandName
 
 
 def report(phase: FlightPhase, armed: bool = True, **more: object) -> Status:
-    return status_with(directed_status(1), phase=phase, armed=armed, command_number=7, **more)
+    return with_fields(directed_status(1), phase=phase, armed=armed, command_number=7, **more)
 
 
 def code_of(name: CommandName, reported: Status) -> Code | None:
@@ -147,7 +148,7 @@ def test_the_wait_ends_when_all_have_finished_and_shows_progress() -> None:
 
 
 def test_reports_older_than_the_command_do_not_count() -> None:
-    old = status_with(report(P.READY, armed=False), command_number=6)
+    old = with_fields(report(P.READY, armed=False), command_number=6)
     outcomes, shown = waited(Reported({1: old}, {1: report(P.ARMED)}), {1: ACCEPTED})
     assert outcomes[1].good
     assert len(shown) == 1

@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.config.reference import CircleReference
+from companion.ground.commands import OperateError
 from companion.monitor.api import CommandRequest
-from companion.monitor.command_requests import ACTIONS, CHANGES, RequestError, fleet_action
+from companion.monitor.command_requests import ACTIONS, CHANGES, fleet_action
 from tests.bench.monitor_load import steady_fleet
 
 FLEET = steady_fleet("load", 3).fleet
@@ -68,7 +69,7 @@ def test_changes_have_their_content() -> None:
     ],
 )
 def test_a_wrong_request_is_one_line(wrong: CommandRequest, words: str) -> None:
-    with pytest.raises(RequestError) as raised:
+    with pytest.raises(OperateError) as raised:
         fleet_action(wrong, FLEET)
     assert words in str(raised.value)
     assert "\n" not in str(raised.value)
@@ -86,5 +87,5 @@ keys = st.sampled_from(["shape", "spacing_m", "slots_enu_m", "leader_ids", "kind
 def test_any_content_is_a_request_or_one_line(name: str, content: dict[str, Any]) -> None:
     try:
         fleet_action(request(name, content), FLEET)
-    except RequestError as error:
+    except OperateError as error:
         assert "\n" not in str(error)

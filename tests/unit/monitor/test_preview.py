@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
+from common import with_fields
 from companion.monitor.api import CommandRequest, Preview
 from companion.monitor.command_requests import fleet_action, preview_of
 from companion.types.status import Status
-from ground_fleet import status_with
 from tests.bench.monitor_load import steady_fleet
 
 LOAD = steady_fleet("load", 4)
@@ -47,7 +47,7 @@ def test_a_formation_needs_a_report_of_every_vehicle() -> None:
 
 
 def test_before_a_flight_slots_are_about_the_vehicles() -> None:
-    on_ground = {i: status_with(status, reference_enu_m=None) for i, status in STATUSES.items()}
+    on_ground = {i: with_fields(status, reference_enu_m=None) for i, status in STATUSES.items()}
     found = preview("formation", {"shape": "line", "spacing_m": 5.0}, on_ground)
     middle = [sum(p.to_enu_m[axis] for p in found.paths) / 4 for axis in range(3)]
     present = [sum(s.motion.position_enu_m[axis] for s in on_ground.values()) / 4 for axis in range(3)]

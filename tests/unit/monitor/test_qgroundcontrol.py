@@ -12,17 +12,18 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import common
 
-from common import ROOT
+from common import ROOT, with_fields
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
 from companion.geometry.frames import enu_from_geodetic
+from companion.ground.fleet_state import FleetState, fold, vehicles_at
 from companion.link.byte_links import LinkError
 from companion.monitor.qgroundcontrol import DENIALS_PER_STEP, TEXT_AGAIN_S, TEXTS_PER_STEP, FleetFeed
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.status import Status
 from companion.wire.messages import StatusReport
-from ground_fleet import TIMING, leader, reported, status_with
+from ground_fleet import TIMING, leader, reported
 
 FIELD = load_fleet(ROOT / "config/fleets/pair.yaml")
 
@@ -63,21 +64,33 @@ def station() -> Iterator[GroundStation]:
         yield made
 
 
+class FedFleet(FleetFeed):
+    """A feed with its own fold of statuses."""
+
+    state = FleetState()
+
+    def take(self, status: Status, now_s: float) -> None:
+        self.state = fold(self.state, StatusReport(status, TIMING), now_s)
+
+    def step(self, now_s: float) -> None:
+        self.forward(vehicles_at(self.state, now_s), now_s)
+
+
 @pytest.fixture
-def feed(station: GroundStation) -> Iterator[FleetFeed]:
-    with FleetFeed(station.endpoint, FIELD) as made:
+def feed(station: GroundStation) -> Iterator[FedFleet]:
+    with FedFleet(station.endpoint, FIELD) as made:
         yield made
 
 
 def of_fleet(status: Status) -> Status:
-    return status_with(status, fleet=FIELD.name)
+    return with_fields(status, fleet=FIELD.name)
 
 
 def by_kind(messages: list[common.MAVLink_message], system: int) -> dict[str, common.MAVLink_message]:
     return {message.get_type(): message for message in messages if message.get_srcSystem() == system}
 
 
-def test_two_vehicles_are_two_systems(feed: FleetFeed, station: GroundStation) -> None:
+def test_two_vehicles_are_two_systems(feed: FedFleet, station: GroundStation) -> None:
     feed.take(of_fleet(leader(position_enu_m=(10.0, 20.0, 2.5))), 100.0)
     feed.take(of_fleet(reported(7, armed=False, phase=FlightPhase.READY, landed=LandedState.ON_GROUND)), 100.0)
     feed.step(100.0)
@@ -97,7 +110,7 @@ def test_two_vehicles_are_two_systems(feed: FleetFeed, station: GroundStation) -
     assert second["EXTENDED_SYS_STATE"].landed_state == common.MAV_LANDED_STATE_ON_GROUND
 
 
-def test_positions_are_where_the_vehicle_is(feed: FleetFeed, station: GroundStation) -> None:
+def test_positions_are_where_the_vehicle_is(feed: FedFleet, station: GroundStation) -> None:
     feed.take(of_fleet(leader(position_enu_m=(10.0, 20.0, 2.5), velocity_enu_m_s=(3.0, 0.0, -1.0))), 100.0)
     feed.step(100.0)
     read = by_kind(station.received(), 1)
@@ -110,7 +123,7 @@ def test_positions_are_where_the_vehicle_is(feed: FleetFeed, station: GroundStat
     assert glob.hdg == 9000  # east
 
 
-def test_without_a_course_there_is_no_heading_and_never_an_attitude(feed: FleetFeed, station: GroundStation) -> None:
+def test_without_a_course_there_is_no_heading_and_never_an_attitude(feed: FedFleet, station: GroundStation) -> None:
     feed.take(of_fleet(leader(velocity_enu_m_s=(0.1, 0.0, 0.0))), 100.0)
     feed.step(100.0)
     read = by_kind(station.received(), 1)
@@ -118,7 +131,7 @@ def test_without_a_course_there_is_no_heading_and_never_an_attitude(feed: FleetF
     assert "ATTITUDE" not in read
 
 
-def test_rates_are_bounded(feed: FleetFeed, station: GroundStation) -> None:
+def test_rates_are_bounded(feed: FedFleet, station: GroundStation) -> None:
     for i in range(1000):  # ten seconds
         feed.take(of_fleet(leader()), 100.0 + 0.01 * i)
         feed.step(100.0 + 0.01 * i)
@@ -127,7 +140,7 @@ def test_rates_are_bounded(feed: FleetFeed, station: GroundStation) -> None:
     assert 45 <= kinds.count("GLOBAL_POSITION_INT") <= 50
 
 
-def test_late_steps_do_not_lower_the_rates(feed: FleetFeed, station: GroundStation) -> None:
+def test_late_steps_do_not_lower_the_rates(feed: FedFleet, station: GroundStation) -> None:
     for i in range(100):  # ten steps a second, each a little later than the last
         feed.take(of_fleet(leader()), 100.0 + 0.1003 * i)
         feed.step(100.0 + 0.1003 * i)
@@ -136,17 +149,18 @@ def test_late_steps_do_not_lower_the_rates(feed: FleetFeed, station: GroundStati
     assert kinds.count("GLOBAL_POSITION_INT") == 50
 
 
-def test_a_recording_that_goes_back_sends_no_vehicle_of_its_future(feed: FleetFeed, station: GroundStation) -> None:
-    report = StatusReport(of_fleet(leader()), TIMING)
-    feed.forward([(100.0, report)], 100.0)
+def test_a_recording_that_goes_back_sends_no_vehicle_of_its_future(feed: FedFleet, station: GroundStation) -> None:
+    feed.take(of_fleet(leader()), 100.0)
+    feed.step(100.0)
     assert station.received()
     feed.forward([], 99.5)
     assert station.received() == []
-    feed.forward([(99.6, report)], 99.6)
+    feed.take(of_fleet(leader()), 99.6)
+    feed.step(99.6)
     assert station.received()
 
 
-def test_a_silent_vehicle_is_not_sent_and_comes_back(feed: FleetFeed, station: GroundStation) -> None:
+def test_a_silent_vehicle_is_not_sent_and_comes_back(feed: FedFleet, station: GroundStation) -> None:
     feed.take(of_fleet(leader()), 100.0)
     feed.step(101.5)
     assert station.received() == []
@@ -160,7 +174,7 @@ def test_a_silent_vehicle_is_not_sent_and_comes_back(feed: FleetFeed, station: G
     [{"state_age_s": 1e9}, {"position_enu_m": (1e300, 0.0, 0.0)}, {"velocity_enu_m_s": (0.0, 0.0, -301.0)}],
 )
 def test_an_old_or_impossible_position_is_left_out(
-    change: dict[str, object], feed: FleetFeed, station: GroundStation
+    change: dict[str, object], feed: FedFleet, station: GroundStation
 ) -> None:
     feed.take(of_fleet(leader(**change)), 100.0)
     feed.step(100.0)
@@ -177,7 +191,7 @@ def test_an_old_or_impossible_position_is_left_out(
 def test_no_status_that_can_be_decoded_ends_the_feed(
     position_enu_m: tuple, velocity_enu_m_s: tuple, battery_percent: float | None
 ) -> None:
-    with FleetFeed("udpout:127.0.0.1:9", FIELD) as feed:
+    with FedFleet("udpout:127.0.0.1:9", FIELD) as feed:
         hostile = leader(
             position_enu_m=position_enu_m, velocity_enu_m_s=velocity_enu_m_s, battery_percent=battery_percent
         )
@@ -189,7 +203,7 @@ def texts(station: GroundStation) -> list[str]:
     return [message.text for message in station.received() if message.get_type() == "STATUSTEXT"]
 
 
-def test_a_new_flag_is_a_text_once(feed: FleetFeed, station: GroundStation) -> None:
+def test_a_new_flag_is_a_text_once(feed: FedFleet, station: GroundStation) -> None:
     flagged = of_fleet(leader(flags=(HealthFlag.OUTSIDE_FENCE,)))
     for i in range(5):
         feed.take(flagged, 100.0 + 0.1 * i)
@@ -204,7 +218,7 @@ def test_a_new_flag_is_a_text_once(feed: FleetFeed, station: GroundStation) -> N
     assert len(texts(station)) <= 1
 
 
-def test_on_the_ground_no_leader_is_missed(feed: FleetFeed, station: GroundStation) -> None:
+def test_on_the_ground_no_leader_is_missed(feed: FedFleet, station: GroundStation) -> None:
     feed.take(of_fleet(reported(2, phase=FlightPhase.READY, flags=(HealthFlag.LEADER_LOST,))), 100.0)
     feed.step(100.0)
     assert texts(station) == []
@@ -213,7 +227,7 @@ def test_on_the_ground_no_leader_is_missed(feed: FleetFeed, station: GroundStati
     assert texts(station) == ["LEADER_LOST: no fresh leader beacon"]
 
 
-def test_many_flags_come_in_steps(feed: FleetFeed, station: GroundStation) -> None:
+def test_many_flags_come_in_steps(feed: FedFleet, station: GroundStation) -> None:
     feed.take(of_fleet(leader(flags=tuple(HealthFlag))), 100.0)
     feed.step(100.0)
     assert len(texts(station)) == TEXTS_PER_STEP
@@ -226,7 +240,7 @@ def command(target: int) -> common.MAVLink_message:
     return common.MAVLink_command_long_message(target, 1, common.MAV_CMD_COMPONENT_ARM_DISARM, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
-def test_a_command_is_denied_and_everything_else_ignored(feed: FleetFeed, station: GroundStation) -> None:
+def test_a_command_is_denied_and_everything_else_ignored(feed: FedFleet, station: GroundStation) -> None:
     feed.take(of_fleet(leader()), 100.0)
     feed.step(100.0)
     station.received()
@@ -241,7 +255,7 @@ def test_a_command_is_denied_and_everything_else_ignored(feed: FleetFeed, statio
     assert (feed.ignored, feed.denied) == (3, 1)
 
 
-def test_a_flood_of_commands_has_few_answers(feed: FleetFeed, station: GroundStation) -> None:
+def test_a_flood_of_commands_has_few_answers(feed: FedFleet, station: GroundStation) -> None:
     feed.take(of_fleet(leader()), 100.0)
     feed.step(100.0)
     station.received()
@@ -252,7 +266,7 @@ def test_a_flood_of_commands_has_few_answers(feed: FleetFeed, station: GroundSta
     assert feed.denied == 50
 
 
-def test_a_stranger_is_not_received(feed: FleetFeed, station: GroundStation) -> None:
+def test_a_stranger_is_not_received(feed: FedFleet, station: GroundStation) -> None:
     feed.take(of_fleet(leader()), 100.0)
     feed.step(100.0)
     station.received()
@@ -264,7 +278,7 @@ def test_a_stranger_is_not_received(feed: FleetFeed, station: GroundStation) -> 
 
 def test_a_fleet_without_a_geodetic_origin_has_local_positions(station: GroundStation) -> None:
     indoor: FleetConfig = replace(FIELD, origin="indoor")
-    with FleetFeed(station.endpoint, indoor) as feed:
+    with FedFleet(station.endpoint, indoor) as feed:
         feed.take(of_fleet(leader()), 100.0)
         feed.step(100.0)
     read = by_kind(station.received(), 1)
@@ -272,11 +286,10 @@ def test_a_fleet_without_a_geodetic_origin_has_local_positions(station: GroundSt
     assert "GLOBAL_POSITION_INT" not in read
 
 
-def test_another_fleet_is_not_sent(feed: FleetFeed, station: GroundStation) -> None:
-    feed.take(status_with(leader(), fleet="strangers"), 100.0)
+def test_another_fleet_is_not_sent(feed: FedFleet, station: GroundStation) -> None:
+    feed.take(with_fields(leader(), fleet="strangers"), 100.0)
     feed.step(100.0)
     assert station.received() == []
-    assert feed.foreign == 1
 
 
 @pytest.mark.parametrize(
@@ -293,13 +306,14 @@ def test_an_empty_ground_station_is_no_error() -> None:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    with FleetFeed(f"udpout:127.0.0.1:{port}", FIELD) as feed:
+    with FedFleet(f"udpout:127.0.0.1:{port}", FIELD) as feed:
         for i in range(20):
             feed.take(of_fleet(leader()), 100.0 + i)
             feed.step(100.0 + i)
 
 
-def test_a_recording_that_goes_back_is_sent_at_once(feed: FleetFeed, station: GroundStation) -> None:
+def test_a_recording_that_goes_back_is_sent_at_once(feed: FedFleet, station: GroundStation) -> None:
     for now_s in (100.0, 500.0, 400.0, 50.0):
-        feed.forward([(now_s, StatusReport(of_fleet(leader()), TIMING))], now_s)
+        feed.take(of_fleet(leader()), now_s)
+        feed.step(now_s)
         assert "HEARTBEAT" in by_kind(station.received(), 1)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common import with_fields
 from companion.ground.fleet_state import MOST_VEHICLES
 from companion.monitor.api import Snapshot, VehicleView
 from companion.monitor.snapshot import KEPT_S, PERIOD_S, Picture
@@ -18,7 +19,7 @@ from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.status import Status
 from companion.wire.messages import StatusReport
-from ground_fleet import TIMING, leader, reported, status_with
+from ground_fleet import TIMING, leader, reported
 from tests.bench.monitor_load import SteadyFleet, steady_fleet
 
 UNIX_S = 1.8e9
@@ -142,7 +143,7 @@ def test_a_silent_vehicle_on_the_ground_is_no_critical_alarm() -> None:
 
 
 def test_a_flag_has_what_the_agent_does_and_what_the_operator_should_do(load: SteadyFleet) -> None:
-    flagged = status_with(load.report(3, 0.0).status, flags=(HealthFlag.OUTSIDE_FENCE, HealthFlag.BATTERY_LOW))
+    flagged = with_fields(load.report(3, 0.0).status, flags=(HealthFlag.OUTSIDE_FENCE, HealthFlag.BATTERY_LOW))
     picture = Picture({"load": load.fleet}, "anna@ground")
     picture_of(flagged, picture=picture)
     fence, battery = vehicle(picture, 3).flags
@@ -155,7 +156,7 @@ def test_a_flag_has_what_the_agent_does_and_what_the_operator_should_do(load: St
 
 def test_a_vehicle_with_another_fleet_file_is_an_alarm(load: SteadyFleet) -> None:
     picture = Picture({"load": load.fleet}, "anna@ground")
-    picture_of(load.report(1, 0.0).status, status_with(load.report(2, 0.0).status, formation_hash=7), picture=picture)
+    picture_of(load.report(1, 0.0).status, with_fields(load.report(2, 0.0).status, formation_hash=7), picture=picture)
     seen(picture, 100.1)
     assert [(a.vehicle_id, a.code) for a in seen(picture, 100.6).alarms] == [(2, "FLEET_FILE_DIFFERS")]
 
@@ -212,7 +213,7 @@ def test_the_history_of_fleets_with_the_same_ids_is_separate() -> None:
 
 def test_homes_are_where_vehicles_were_last_disarmed_on_the_ground(load: SteadyFleet) -> None:
     picture = Picture({"load": load.fleet}, "anna@ground")
-    on_ground = status_with(
+    on_ground = with_fields(
         load.report(2, 0.0).status, armed=False, landed=LandedState.ON_GROUND, position_enu_m=(1.0, 2.0, 0.1)
     )
     picture_of(on_ground, load.report(3, 0.0).status, picture=picture)

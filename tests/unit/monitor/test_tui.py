@@ -13,7 +13,8 @@ import pytest
 from rich.console import Console
 
 from companion.monitor.tui import json_once
-from ground_fleet import leader, reported, rows_of
+from ground_fleet import NOW, leader, picture_of, reported
+from tests.bench.monitor_load import steady_fleet
 
 TO_SECOND_SCREEN, BACK, SHOW_CURSOR = b"\x1b[?1049h", b"\x1b[?1049l", b"\x1b[?25h"
 # On a closed port: no vehicle is there, and none is needed.
@@ -56,8 +57,8 @@ def test_the_end_leaves_the_terminal_as_it_was(number: signal.Signals) -> None:
 def test_the_picture_has_its_time_and_the_endpoints_that_are_not_reached() -> None:
     from companion.monitor.tui import top_lines
 
-    assert [line.text for line in top_lines("12:00:01", {}, 80)] == ["12:00:01"]
-    lines = top_lines("12:00:01", {"tcp/10.0.0.2:7447": "connection refused; no agent listens there"}, 40)
+    assert [line.text for line in top_lines("12:00:01", (), 80)] == ["12:00:01"]
+    lines = top_lines("12:00:01", ["tcp/10.0.0.2:7447: connection refused; no agent listens there"], 40)
     assert lines[1].text == "not reached: tcp/10.0.0.2:7447: connect…"
 
 
@@ -96,12 +97,12 @@ def test_without_colour_the_text_is_the_same(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_vehicle_that_never_reported_is_named_beside_the_array(capsys: pytest.CaptureFixture[str]) -> None:
-    json_once(rows_of(leader(), reported(2)), {"platoon": frozenset({1, 2, 4})})
+    json_once(picture_of(leader(), reported(2), fleets={"platoon": steady_fleet("platoon", 3).fleet}), NOW)
     shown = capsys.readouterr()
     assert [row["vehicle_id"] for row in json.loads(shown.out)] == [1, 2]
-    assert shown.err == "companion monitor: fleet platoon: NEVER HEARD: vehicle 4 of its fleet file\n"
+    assert shown.err == "companion monitor: fleet platoon: NEVER HEARD: vehicle 3 of its fleet file\n"
 
 
 def test_a_whole_fleet_has_the_array_alone(capsys: pytest.CaptureFixture[str]) -> None:
-    json_once(rows_of(leader(), reported(2)), {"platoon": frozenset({1, 2})})
+    json_once(picture_of(leader(), reported(2), fleets={"platoon": steady_fleet("platoon", 2).fleet}), NOW)
     assert capsys.readouterr().err == ""

@@ -7,17 +7,25 @@ from math import inf, nan
 import pytest
 
 from companion.cli.main import main
-from companion.monitor.tui_page import cells, columns_for, count_text, duration_text, metres_text, table_width
-from companion.monitor.tui_rows import TableRow, fleets
+from companion.monitor.tui_page import (
+    TableRow,
+    cells,
+    columns_for,
+    count_text,
+    duration_text,
+    fleets,
+    metres_text,
+    table_width,
+)
 from companion.types.code_table import code_table
 from companion.types.flight import HealthFlag
 from companion.types.status import NearestVehicle, SeparationReport
-from ground_fleet import leader, reported, rows_of
+from ground_fleet import leader, reported, snapshot_of
 
 
 def row(**changes: object) -> TableRow:
     """Vehicle 2 behind its leader."""
-    (fleet,) = fleets(rows_of(leader(), reported(2, **changes)))
+    (fleet,) = fleets(snapshot_of(leader(), reported(2, **changes)))
     return fleet.rows[1]
 
 

@@ -8,16 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.monitor.api import Snapshot
 from companion.monitor.tui_page import TURN_S, fit_page, page
 from companion.types.flight import HealthFlag, Role
 from companion.types.notices import Code, Notice
 from companion.types.status import NetworkState
-from ground_fleet import large_fleet, leader, reported, rows_of, troubled_fleet
+from ground_fleet import large_fleet, leader, reported, snapshot_of, troubled_fleet
+from tests.bench.monitor_load import steady_fleet
 
 SNAPSHOTS = Path(__file__).parent / "snapshots"
 
 
-def texts(vehicles: list, width: int) -> list[str]:
+def texts(vehicles: Snapshot, width: int) -> list[str]:
     return [line.text for line in page(vehicles, width)]
 
 
@@ -52,13 +54,13 @@ def test_on_a_low_terminal_vehicles_with_problems_come_first_and_the_others_take
 
 
 def test_vehicles_with_problems_that_do_not_fit_are_named() -> None:
-    vehicles = rows_of(leader(), *(reported(i, flags=(HealthFlag.TICK_LATE,)) for i in range(2, 14)))
+    vehicles = snapshot_of(leader(), *(reported(i, flags=(HealthFlag.TICK_LATE,)) for i in range(2, 14)))
     lines = [line.text for line in fit_page(vehicles, 80, 12, 0.0)]
     assert any("more, with flags: vehicles" in text and "13" in text for text in lines)
 
 
 def test_a_problem_of_many_vehicles_has_one_note() -> None:
-    vehicles = rows_of(leader(), *(reported(i, flags=(HealthFlag.LEADER_LOST,)) for i in (2, 3, 4)))
+    vehicles = snapshot_of(leader(), *(reported(i, flags=(HealthFlag.LEADER_LOST,)) for i in (2, 3, 4)))
     assert [text for text in texts(vehicles, 80) if "LEADER_LOST, " in text] == [
         "  LEADER_LOST, vehicles 2, 3, 4: no fresh leader beacon"
     ]
@@ -72,35 +74,35 @@ def test_an_old_value_of_a_silent_vehicle_is_not_in_its_row() -> None:
 
 
 def test_a_silent_leader_does_not_lead_and_a_silent_position_has_no_distance() -> None:
-    (first, *_), *_ = [texts(rows_of(leader(), reported(2), silent=(1,)), 120)]
+    (first, *_), *_ = [texts(snapshot_of(leader(), reported(2), silent=(1,)), 120)]
     assert first == "fleet platoon: 2 vehicles, SILENT: vehicle 1, NO LEADER, operator anna@ground"
 
 
 def test_a_vehicle_of_the_fleet_file_that_never_reported_is_in_the_heading() -> None:
-    vehicles = rows_of(leader(), reported(2))
-    expected = {"platoon": frozenset({1, 2, 4}), "other": frozenset({9})}
-    for lines in (page(vehicles, 120, expected), fit_page(vehicles, 120, 4, 0.0, expected)):
-        assert "NEVER HEARD: vehicle 4" in lines[0].text
-    assert "NEVER HEARD" not in page(vehicles, 120)[0].text
+    expected = {name: steady_fleet(name, 3).fleet for name in ("platoon", "other")}
+    snapshot = snapshot_of(leader(), reported(2), fleets=expected)
+    for lines in (page(snapshot, 120), fit_page(snapshot, 120, 4, 0.0)):
+        assert "NEVER HEARD: vehicle 3" in lines[0].text
+    assert "NEVER HEARD" not in page(snapshot_of(leader(), reported(2)), 120)[0].text
 
 
 def test_a_fleet_that_strangers_can_command_is_named_in_its_heading() -> None:
-    lines = texts(rows_of(leader(), reported(4, network=NetworkState("none"))), 120)
+    lines = texts(snapshot_of(leader(), reported(4, network=NetworkState("none"))), 120)
     assert any("UNSECURED (strangers can command): vehicle 4" in text for text in lines[:2])
 
 
 def test_each_fleet_has_a_table_and_a_heading() -> None:
-    vehicles = rows_of(leader(fleet="alpha")) + rows_of(leader(), reported(2))
+    vehicles = snapshot_of(leader(fleet="alpha"), leader(), reported(2))
     headings = [text.partition(",")[0] for text in texts(vehicles, 80) if text.startswith("fleet ")]
     assert headings == ["fleet alpha: 1 vehicle", "fleet platoon: 2 vehicles"]
 
 
 def test_no_event_controls_the_terminal() -> None:
-    hostile = rows_of(leader(last_event=Notice(Code.PROCEDURE_FAILED, "\x1b[2J\x07arm: no\nroot\u202e")))
+    hostile = snapshot_of(leader(last_event=Notice(Code.PROCEDURE_FAILED, "\x1b[2J\x07arm: no\nroot\u202e")))
     for width in (80, 200):
         assert any("PROCEDURE_FAILED: ?[2J?arm: no?root?" in text for text in texts(hostile, width))
 
 
 def test_the_leader_is_named() -> None:
-    vehicles = rows_of(reported(1), reported(2, role=Role.LEADER, prc=1))
+    vehicles = snapshot_of(reported(1), reported(2, role=Role.LEADER, prc=1))
     assert "leader 2" in texts(vehicles, 120)[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from common import with_fields
 from companion.recording.records import DecisionRecord, TimingRecord
 from companion.report.distances import grid_of, pair_distances
 from companion.report.findings import Finding, FindingKind, Severity
@@ -14,7 +15,6 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
-from ground_fleet import status_with
 from made_flights import Faults, flagged, fleet_of, flight_of, near_vehicle_1, records_of
 
 Expected = tuple[Severity, Code, int | None, float]
@@ -37,7 +37,7 @@ def late_ticks(time_s: float, record: TimingRecord) -> TimingRecord:
 
 def without_peer_1(time_s: float, status: Status) -> Status:
     return (
-        status_with(status, peers=tuple(i for i in status.neighbourhood.peers if i != 1))
+        with_fields(status, peers=tuple(i for i in status.neighbourhood.peers if i != 1))
         if 25.0 <= time_s < 26.0
         else status
     )
@@ -45,7 +45,7 @@ def without_peer_1(time_s: float, status: Status) -> Status:
 
 def disarmed_at_40_s(time_s: float, status: Status) -> Status:
     return (
-        status_with(status, armed=False) if time_s >= 40.0 and status.autopilot.landed is LandedState.IN_AIR else status
+        with_fields(status, armed=False) if time_s >= 40.0 and status.autopilot.landed is LandedState.IN_AIR else status
     )
 
 
@@ -168,7 +168,7 @@ def test_packets_between_two_losses_are_not_lost() -> None:
 def without_peer_3(time_s: float, status: Status) -> Status:
     """As the others report a vehicle whose agent ended at 30 s: the limit of a fresh packet passes first."""
     return (
-        status_with(status, peers=tuple(i for i in status.neighbourhood.peers if i != 3)) if time_s >= 30.3 else status
+        with_fields(status, peers=tuple(i for i in status.neighbourhood.peers if i != 3)) if time_s >= 30.3 else status
     )
 
 
@@ -182,7 +182,7 @@ def test_the_others_miss_a_vehicle_whose_agent_ended_in_the_air() -> None:
 
 def test_a_vehicle_that_landed_and_ended_is_not_missed() -> None:
     def landed(time_s: float, status: Status) -> Status:
-        return status_with(status, landed=LandedState.ON_GROUND) if time_s >= 29.0 else status
+        return with_fields(status, landed=LandedState.ON_GROUND) if time_s >= 29.0 else status
 
     found = findings_of({1: Faults(status=without_peer_3), 3: Faults(ends_s=30.0, status=landed)}, vehicles=3)
     assert found == ()
@@ -211,7 +211,7 @@ def test_a_flight_on_the_ground_only_is_named() -> None:
         return replace(record, phase=FlightPhase.OBSERVE, reference_enu_m=None)
 
     def landed(_time_s: float, status: Status) -> Status:
-        return status_with(status, landed=LandedState.ON_GROUND, armed=False)
+        return with_fields(status, landed=LandedState.ON_GROUND, armed=False)
 
     faults = {i: Faults(decision=on_the_ground, status=landed) for i in (1, 2)}
     assert short(findings_of(faults, vehicles=2, seconds=20.0)) == [(INFO, Code.NOT_FLOWN, None, 0.0)]

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from common import with_fields
 from companion.cli.main import main
 from companion.recording.reader import Recording
 from companion.recording.records import DECISION, STATUS, DecisionRecord
@@ -16,7 +17,7 @@ from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code, Notice
 from companion.types.status import NO_STATE_AGE_S
 from companion.wire.messages import FlatReport, StatusReport, flat_report
-from ground_fleet import DIRECTED_TIMING, directed_status, status_with
+from ground_fleet import DIRECTED_TIMING, directed_status
 from recordings import HEADER, RecordingFile
 
 DECISION_1 = DecisionRecord(
@@ -79,7 +80,7 @@ def test_position_and_velocity_are_empty_before_the_first_position(tmp_path: Pat
     file = RecordingFile(tmp_path / "a.mcap", HEADER)
     file.write(DECISION, 101.0, replace(DECISION_1, position_enu_m=None, velocity_enu_m_s=None))
     file.write(
-        STATUS, 101.0, StatusReport(status_with(directed_status(1), state_age_s=NO_STATE_AGE_S), DIRECTED_TIMING)
+        STATUS, 101.0, StatusReport(with_fields(directed_status(1), state_age_s=NO_STATE_AGE_S), DIRECTED_TIMING)
     )
     file.close()
     assert main(["export", str(tmp_path)]) == 0
@@ -128,7 +129,7 @@ def test_a_status_is_flat(tmp_path: Path) -> None:
 def test_cells_of_nested_values() -> None:
     table = Table(FlatReport)
     beacon, note = LeaderBeacon(3, 1, 2), Notice(Code.PEER_STALE, "text")
-    full = status_with(
+    full = with_fields(
         directed_status(2),
         leader_beacon=beacon,
         last_event=note,

@@ -54,7 +54,6 @@ from companion.wire.messages import (
     encode,
     encode_peer,
 )
-from ground_fleet import status_with
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 vectors = st.tuples(numbers, numbers, numbers)
@@ -342,7 +341,7 @@ def test_content_out_of_bounds_is_malformed(content: Lead | ReferenceChange) -> 
 def test_status_out_of_bounds_is_malformed(changes: dict[str, object]) -> None:
     assert decode_report(encode(REPORT)) == REPORT
     with pytest.raises(WireError, match="malformed status report"):
-        decode_report(encode(replace(REPORT, status=status_with(REPORT.status, **changes))))
+        decode_report(encode(replace(REPORT, status=with_fields(REPORT.status, **changes))))
 
 
 def test_reference_command_has_the_description_of_a_file() -> None:

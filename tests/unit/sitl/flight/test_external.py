@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 import yaml
 
-from common import ROOT
+from common import ROOT, with_fields
 from companion.config.file import ConfigError
 from companion.types.autopilot import AutopilotKind, LandedState
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.status import Status
-from ground_fleet import WHOLE, DirectedFlight, directed_status, status_with
+from ground_fleet import WHOLE, DirectedFlight, directed_status
 from sitl.cli.flights import FLY, flight_options
 from sitl.flight.external import READY_FOR_S, ReachedVehicle, Readiness, load_external, vehicles_of
 from sitl.flight.files import estimated_path, write_files
@@ -139,14 +139,14 @@ def known(*statuses: Status) -> Callable[[int], Status | None]:
     return {status.agent.vehicle_id: status for status in statuses}.get
 
 
-READY_1, READY_2 = directed_status(1), status_with(directed_status(2), position_enu_m=(-3.0, 0.0, 0.0))
+READY_1, READY_2 = directed_status(1), with_fields(directed_status(2), position_enu_m=(-3.0, 0.0, 0.0))
 
 
 def test_readiness_requires_all_vehicles_ready_for_some_time(scenario: Scenario) -> None:
     readiness, both = Readiness(scenario), known(READY_1, READY_2)
     assert not readiness.is_reached(both, 0.0)
     assert readiness.lacking == ""
-    assert not readiness.is_reached(known(READY_1, status_with(READY_2, flags=(HealthFlag.POSITION_STALE,))), 1.0)
+    assert not readiness.is_reached(known(READY_1, with_fields(READY_2, flags=(HealthFlag.POSITION_STALE,))), 1.0)
     assert readiness.lacking == "vehicle 2: POSITION_STALE"
     assert not readiness.is_reached(both, 1.5)
     assert not readiness.is_reached(both, READY_FOR_S + 1.4)
@@ -157,13 +157,13 @@ def test_each_reason_is_reported_once(scenario: Scenario) -> None:
     readiness = Readiness(scenario)
     readiness.is_reached(known(), 0.0)
     assert readiness.lacking == "vehicles 1, 2: no status from its agent yet"
-    readiness.is_reached(known(status_with(READY_1, lacks=("this", "that")), READY_2), 0.0)
+    readiness.is_reached(known(with_fields(READY_1, lacks=("this", "that")), READY_2), 0.0)
     assert readiness.lacking == "vehicle 1: this; that"
 
 
 def test_a_missing_leader_beacon_does_not_delay_readiness(scenario: Scenario) -> None:
     readiness = Readiness(scenario)
-    readiness.is_reached(known(READY_1, status_with(READY_2, flags=(HealthFlag.LEADER_LOST,))), 0.0)
+    readiness.is_reached(known(READY_1, with_fields(READY_2, flags=(HealthFlag.LEADER_LOST,))), 0.0)
     assert readiness.lacking == ""
 
 
@@ -180,7 +180,7 @@ def test_a_vehicle_away_from_its_start_is_reported(
     scenario: Scenario, position_enu_m: tuple[float, float, float], text: str
 ) -> None:
     readiness = Readiness(scenario)
-    readiness.is_reached(known(READY_1, status_with(READY_2, position_enu_m=position_enu_m)), 0.0)
+    readiness.is_reached(known(READY_1, with_fields(READY_2, position_enu_m=position_enu_m)), 0.0)
     assert readiness.lacking.startswith(f"vehicle 2: {text}" if text else "")
     assert bool(readiness.lacking) is bool(text)
 

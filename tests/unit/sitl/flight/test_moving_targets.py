@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from common import with_fields
 from companion.config.reference import PointReference, WaypointsReference
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, Role
@@ -21,7 +22,6 @@ from companion.types.status import (
 )
 from companion.types.values import Vector3
 from companion.wire.messages import Percentiles, StatusReport, Timing
-from ground_fleet import status_with
 from sitl.flight.director import MovingTargets
 from sitl.flight.scenario import MovingTarget
 from sitl.flight.watch import FlightWatch
@@ -70,7 +70,7 @@ def watched(*reported: tuple[float, float]) -> FlightWatch:
     """A watch that has received reports of a leader: (reference time in s, x of r in m)."""
     watch = FlightWatch([1], [1], 0.0)
     for number, (reference_s, x) in enumerate(reported):
-        status = status_with(
+        status = with_fields(
             LEADING, leader_beacon=LeaderBeacon(1, 0, number, reference_s), reference_enu_m=(x, 0.0, 2.0)
         )
         watch.receive(StatusReport(status, Timing(50.0, 1, 0, NOTHING, NOTHING, 5.0, 49.0)), 50.0 + number)
