@@ -212,7 +212,7 @@ class Undisturbed:
 
 def false_messages(fleet: SecuredFleet, operators: tuple[str, ...]) -> Iterator[tuple[str, bytes]]:
     """Packets that put every vehicle 30 m away, and `land` and `abort` to all, under the keys of all."""
-    name, formation_hash = fleet.scenario.fleet.name, next(iter(fleet.ground.newest.values())).formation_hash
+    name, formation_hash = fleet.scenario.fleet.name, next(iter(fleet.ground.newest.values())).agent.formation_hash
     sessions = {i: status.agent.session for i, status in fleet.ground.newest.items()}
     packet = with_fields(AT_REST, formation_hash=formation_hash, position_enu_m=FAR_M)
     for number in count(1):

@@ -238,7 +238,7 @@ class FirstLap:
         for _ in range(round(seconds / 0.2)):
             now = self.newest_after(0.2)
             farthest_m = max(
-                farthest_m, *(dist(now[i].motion.position_enu_m, before[i].position_enu_m) for i in self.ids)
+                farthest_m, *(dist(now[i].motion.position_enu_m, before[i].motion.position_enu_m) for i in self.ids)
             )
         return farthest_m
 
