@@ -42,6 +42,7 @@ from sitl.report.progress import FlightProgress
 from sitl.vehicle.config import Partition
 
 FORMATION = FlightPhase.FORMATION
+READY_SOON = ("stand_in.sensors=ideal", "stand_in.armable_after_s=1")  # nothing is tested while the estimators settle
 
 
 def director_of(lockstep: Lockstep, watch: FlightWatch, check: Callable[[], None] = lambda: None) -> Director:
@@ -61,7 +62,7 @@ class CommandedFlight:
     """The fleet of a scenario after the form step of its timeline, and all reports, packets, targets, decisions since then."""
 
     def __init__(self, scenario: Path, *overrides: str) -> None:
-        self.scenario = load_scenario(scenario, ["stand_in.sensors=ideal", *overrides])
+        self.scenario = load_scenario(scenario, [*READY_SOON, *overrides])
         self.lockstep = Lockstep(self.scenario)
         watch = FlightWatch(ids_of(self.scenario), [1], 0.0)
         director = director_of(self.lockstep, watch)

@@ -18,7 +18,7 @@ from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.values import ZERO3, Vector3
-from lockstep_fleet import EnteringFleet, FlownScenario
+from lockstep_fleet import READY_SOON, EnteringFleet, FlownScenario
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.report.metrics import SAMPLE_S
@@ -59,7 +59,7 @@ class Flight:
     """The fleet of the scenario in formation."""
 
     def __init__(self, *overrides: str) -> None:
-        self.scenario = load_scenario(SCENARIO, ["stand_in.sensors=ideal", SET_OFF, *overrides])
+        self.scenario = load_scenario(SCENARIO, [*READY_SOON, SET_OFF, *overrides])
         self.fleet = EnteringFleet(self.scenario)
         self.lockstep = self.fleet.lockstep
         assert self.fleet.accepted(CommandName.FORM)
