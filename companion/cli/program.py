@@ -58,10 +58,11 @@ def command(
     summary: str,
     add_arguments: Callable[[argparse.ArgumentParser], None],
     run: Callable[[argparse.Namespace], int],
+    needs: tuple[str, ...] = (),
 ) -> CliCommand:
     """The command that `run` carries out, whose docstring is the help: from "examples:" on it follows the arguments."""
     description, _, more = cleandoc(run.__doc__ or "").partition("\n\nexamples:\n")
-    return CliCommand(name, summary, f"{description}\n", f"examples:\n{more}\n", add_arguments, run)
+    return CliCommand(name, summary, f"{description}\n", f"examples:\n{more}\n", add_arguments, run, needs)
 
 
 def exit_code_of(command: str, run: Callable[[], int]) -> int:

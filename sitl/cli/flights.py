@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from companion.cli.options import add_overrides
-from companion.cli.program import CliCommand
+from companion.cli.program import command
 from companion.config.file import ConfigError
 from companion.config.fleet import LawName
 from sitl.cli.options import (
@@ -67,18 +67,133 @@ def _add_fleet(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_run(parsed: argparse.Namespace) -> int:
+    """Fly a scenario in virtual time: the same agents and stand-in autopilots as `sitl fly`, in one loop without sockets,
+    many times faster than real time. The same scenario and seed give a bit-identical flight.
+
+    examples:
+      sitl run config/scenarios/platoon.yaml                        the paper's platoon with the paper's law
+      sitl run config/scenarios/platoon.yaml --compare              all laws in turn, one table, one figure
+      sitl run config/scenarios/platoon.yaml --set stand_in.sensors=default --set stand_in.seed=2
+      sitl run config/scenarios/platoon.yaml --autopilot ardupilot  stand-ins that behave like ArduCopter instead of PX4
+      sitl run config/scenarios/platoon.yaml --set links.peer_loss=0.1 --set links.peer_delay_s=0.1
+
+    --set takes any key of the scenario file, [N] for the N-th item of a list from 0, and a YAML value. The section links sets
+    the delays of telemetry, setpoints and peer packets, the shares of peer packets that are lost and repeated, and partitions.
+
+    Before the flight the formation is checked as by `companion analyze`: one without a path from a leader to every vehicle, or
+    one that is unstable with the usual delay, is refused; --anyway flies it.
+
+    the folder (default: a new one, runs/SCENARIO-LAW-DATE-TIME; with --compare one folder per law inside it; files of an older
+    run in --out are removed; a folder that another run uses is refused):
+      summary.json              as of `sitl fly`, with real_time_factor: seconds flown per second of computing time. Timing
+                                (tick, telemetry_to_command_us, cpu_percent, rss_mb) is null in virtual time
+      figure_5.png, figure_6.png, from_above.png, comparison.json, comparison.png, scenario.yaml      as of `sitl fly`
+      truth_N.csv               true positions of vehicle N, 50 times a second; its clock is virtual and begins at 0
+      vehicle_N_*.mcap          with --record: what the agent of vehicle N received and decided, by the virtual clock
+
+    Ctrl-C lands all vehicles, which takes no time here, and writes the folder; a second Ctrl-C stops at once.
+
+    exit codes:
+      0    flown and landed
+      1    the flight failed; one line says which vehicle and why
+      2    the scenario, an argument or the folder cannot be used; one line says which and what to do
+      130  ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM), vehicles landed
+    """
+
     from sitl.flight.flights import run_virtual
 
     return run_virtual(flight_options(parsed))
 
 
 def _run_fly(parsed: argparse.Namespace) -> int:
+    """Fly a scenario with real processes: one stand-in autopilot and one agent per vehicle, MAVLink between them, Zenoh between
+    the agents. Shows every vehicle live, lands, and leaves a folder with figures, plots, files and logs. With --external the
+    agents fly external autopilots, like PX4's and ArduPilot's own simulations.
+
+    examples:
+      sitl fly config/scenarios/platoon.yaml                        the paper's platoon with the paper's law
+      sitl fly config/scenarios/platoon.yaml --law average_22       with another law
+      sitl fly config/scenarios/platoon.yaml --compare              all laws in turn, one table, one figure
+      sitl fly config/scenarios/platoon.yaml --compare average_26   only these two
+      sitl fly config/scenarios/platoon.yaml --autopilot ardupilot  stand-ins that behave like ArduCopter instead of PX4
+      sitl fly config/scenarios/four_in_line.yaml --external config/external/px4_sih.yaml   four PX4 in their own simulation
+      sitl fly config/scenarios/platoon.yaml --set stand_in.sensors=default --set timeline[3].for_s=20
+      sitl fly config/scenarios/platoon.yaml --set stand_in.airframe.attitude=instant \\
+                                             --set stand_in.airframe.motor_lag_s=0
+      sitl fly runs/platoon-weighted-20250131-120000/scenario.yaml  repeat a flight exactly
+
+    --set takes any key of the scenario file, [N] for the N-th item of a list from 0, and a YAML value.
+
+    Before the flight the formation is checked as by `companion analyze`: one without a path from a leader to every vehicle, or
+    one that is unstable with the usual delay, is refused; --anyway flies it. Without --port-offset it takes the first of the
+    offsets 0, 100, 200, ... with which all ports are free, so that several fleets can fly side by side.
+
+    the folder (default: a new one, runs/SCENARIO-LAW-DATE-TIME; with --compare one folder per law inside it; files of an older
+    run in --out are removed; a folder that another run uses is refused):
+      summary.json                   largest, smallest and final distances, settling time, final error, timing of each agent
+      figure_5.png, figure_6.png     x and y curves, inter-distances; all from true positions
+      from_above.png                 the paths from above, with leaders and neighbours after each command
+      comparison.json, .png          with --compare
+      scenario.yaml                  as flown; fleet.yaml, vehicle_N.yaml, autopilot_N.yaml are made from it
+      truth_N.csv                    true positions of vehicle N, 50 times a second
+      agent_N.log                    output of the agents; autopilots_1_to_M.log that of the stand-ins, which share a process
+      vehicle_N_*.mcap               what the agent of vehicle N received and decided (docs/recording.md)
+
+    --external FILE flies the same scenario with agents alone. FILE gives for each vehicle the endpoint of its autopilot,
+    its hover thrust and its drag (see config/external/ and docs/external.md). No command is given before all vehicles are
+    ready: the autopilots' own checks pass, origin and position are known, parameters are in order, and each vehicle is on
+    the ground within 10 m of its starts_enu_m, by fleet.origin, and apart from the others. A vehicle that is armed already,
+    or that its pilot takes over in flight, is left alone. Neither Ctrl-C nor a failure ends the autopilots: the vehicles
+    are landed and left. Their true positions are unknown: estimated_N.csv instead of truth_N.csv holds the positions that
+    each reported in the air, ten times a second, and summary.json has `tracks: estimated`. The stand_in section of the
+    scenario is not used.
+
+    On a busy machine a line after the figures reports it: where more than 0.5 % of the ticks were missed, or an agent took more
+    than 5 ms (p99) from telemetry to command, the figures are those of the machine rather than of the law.
+
+    Ctrl-C lands all vehicles and stops everything; a second Ctrl-C stops at once.
+
+    exit codes:
+      0    flown and landed
+      1    the flight failed; one line says which vehicle and why, the logs say more
+      2    the scenario, an argument, a port or the folder cannot be used; one line says which and what to do
+      130  ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM), vehicles landed
+    """
+
     from sitl.flight.fly import run_fly
 
     return run_fly(flight_options(parsed))
 
 
 def _run_fleet(parsed: argparse.Namespace) -> int:
+    """A scenario's fleet as real processes, one stand-in autopilot and one agent per vehicle. It waits on the ground for an
+    operator: `companion fleet` in a second terminal. The scenario's timeline is not flown; its targets move.
+
+    examples:
+      sitl fleet config/scenarios/ring_figure_8.yaml
+      sitl fleet config/scenarios/formations.yaml --set stand_in.sensors=ideal
+      sitl fleet config/scenarios/platoon.yaml --autopilot ardupilot --port-offset 100
+
+    It prints what `companion fleet` needs and the ports for ground stations. Without --port-offset it takes the first of the
+    offsets 0, 100, 200, ... with which all ports are free, so that several fleets can fly side by side.
+
+    the folder (default: a new one, runs/fleet-SCENARIO-DATE-TIME; files of an older run in --out are removed):
+      fleet.yaml                     for `companion fleet --fleet`; vehicle_N.yaml, autopilot_N.yaml, scenario.yaml
+      truth_N.csv                    true positions of vehicle N, 50 times a second
+      agent_N.log                    output of the agents: every command and its answer is a line
+      autopilots_1_to_M.log          output of the stand-ins, up to sixteen in one process
+      vehicle_N_*.mcap               what the agent of vehicle N received and decided (docs/recording.md)
+
+    Ctrl-C takes command, lands all vehicles where they are and stops everything; a second Ctrl-C stops at once. On a busy
+    machine the last lines report it: where more than 0.5 % of the ticks were missed, or an agent took more than 5 ms (p99) from
+    telemetry to command.
+
+    exit codes:
+      0    ended by Ctrl-C, all vehicles landed
+      1    a vehicle could not be landed, or a process could not be ended; one line says which and why, the logs say more
+      2    the scenario, an argument, a port or the folder cannot be used; one line says which and what to do
+    """
+
     from sitl.flight.fly import run_fleet
 
     return run_fleet(flight_options(parsed))
@@ -97,145 +212,28 @@ def flight_options(parsed: argparse.Namespace) -> FlightOptions:
     return options_of(FlightOptions, given | {"overrides": overrides_of(parsed), "others": others})
 
 
-RUN = CliCommand(
-    name="run",
-    summary="flies a scenario in virtual time: one process, many times faster, bit-identical each time",
-    description="""\
-Fly a scenario in virtual time: the same agents and stand-in autopilots as `sitl fly`, in one loop without sockets, many times
-faster than real time. The same scenario and seed give a bit-identical flight.
-""",
-    more="""\
-examples:
-  sitl run config/scenarios/platoon.yaml                        the paper's platoon with the paper's law
-  sitl run config/scenarios/platoon.yaml --compare              all laws in turn, one table, one figure
-  sitl run config/scenarios/platoon.yaml --set stand_in.sensors=default --set stand_in.seed=2
-  sitl run config/scenarios/platoon.yaml --autopilot ardupilot  stand-ins that behave like ArduCopter instead of PX4
-  sitl run config/scenarios/platoon.yaml --set links.peer_loss=0.1 --set links.peer_delay_s=0.1
-
---set takes any key of the scenario file, [N] for the N-th item of a list from 0, and a YAML value. The section links sets
-the delays of telemetry, setpoints and peer packets, the shares of peer packets that are lost and repeated, and partitions.
-
-Before the flight the formation is checked as by `companion analyze`: one without a path from a leader to every vehicle, or
-one that is unstable with the usual delay, is refused; --anyway flies it.
-
-the folder (default: a new one, runs/SCENARIO-LAW-DATE-TIME; with --compare one folder per law inside it; files of an older
-run in --out are removed; a folder that another run uses is refused):
-  summary.json              as of `sitl fly`, with real_time_factor: seconds flown per second of computing time. Timing
-                            (tick, telemetry_to_command_us, cpu_percent, rss_mb) is null in virtual time
-  figure_5.png, figure_6.png, from_above.png, comparison.json, comparison.png, scenario.yaml      as of `sitl fly`
-  truth_N.csv               true positions of vehicle N, 50 times a second; its clock is virtual and begins at 0
-  vehicle_N_*.mcap          with --record: what the agent of vehicle N received and decided, by the virtual clock
-
-Ctrl-C lands all vehicles, which takes no time here, and writes the folder; a second Ctrl-C stops at once.
-
-exit codes:
-  0    flown and landed
-  1    the flight failed; one line says which vehicle and why
-  2    the scenario, an argument or the folder cannot be used; one line says which and what to do
-  130  ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM), vehicles landed
-""",
-    add_arguments=_add_run,
-    run=_run_run,
-    needs=("matplotlib", "rich"),
+RUN = command(
+    "run",
+    "flies a scenario in virtual time: one process, many times faster, bit-identical each time",
+    _add_run,
+    _run_run,
+    ("matplotlib", "rich"),
 )
 
 
-FLY = CliCommand(
-    name="fly",
-    summary="a whole fleet of real processes through a scenario, with figures at its end",
-    description="""\
-Fly a scenario with real processes: one stand-in autopilot and one agent per vehicle, MAVLink between them, Zenoh between
-the agents. Shows every vehicle live, lands, and leaves a folder with figures, plots, files and logs. With --external the
-agents fly external autopilots, like PX4's and ArduPilot's own simulations.
-""",
-    more="""\
-examples:
-  sitl fly config/scenarios/platoon.yaml                        the paper's platoon with the paper's law
-  sitl fly config/scenarios/platoon.yaml --law average_22       with another law
-  sitl fly config/scenarios/platoon.yaml --compare              all laws in turn, one table, one figure
-  sitl fly config/scenarios/platoon.yaml --compare average_26   only these two
-  sitl fly config/scenarios/platoon.yaml --autopilot ardupilot  stand-ins that behave like ArduCopter instead of PX4
-  sitl fly config/scenarios/four_in_line.yaml --external config/external/px4_sih.yaml   four PX4 in their own simulation
-  sitl fly config/scenarios/platoon.yaml --set stand_in.sensors=default --set timeline[3].for_s=20
-  sitl fly config/scenarios/platoon.yaml --set stand_in.airframe.attitude=instant \\
-                                         --set stand_in.airframe.motor_lag_s=0
-  sitl fly runs/platoon-weighted-20250131-120000/scenario.yaml  repeat a flight exactly
-
---set takes any key of the scenario file, [N] for the N-th item of a list from 0, and a YAML value.
-
-Before the flight the formation is checked as by `companion analyze`: one without a path from a leader to every vehicle, or
-one that is unstable with the usual delay, is refused; --anyway flies it. Without --port-offset it takes the first of the
-offsets 0, 100, 200, ... with which all ports are free, so that several fleets can fly side by side.
-
-the folder (default: a new one, runs/SCENARIO-LAW-DATE-TIME; with --compare one folder per law inside it; files of an older
-run in --out are removed; a folder that another run uses is refused):
-  summary.json                   largest, smallest and final distances, settling time, final error, timing of each agent
-  figure_5.png, figure_6.png     x and y curves, inter-distances; all from true positions
-  from_above.png                 the paths from above, with leaders and neighbours after each command
-  comparison.json, .png          with --compare
-  scenario.yaml                  as flown; fleet.yaml, vehicle_N.yaml, autopilot_N.yaml are made from it
-  truth_N.csv                    true positions of vehicle N, 50 times a second
-  agent_N.log                    output of the agents; autopilots_1_to_M.log that of the stand-ins, which share a process
-  vehicle_N_*.mcap               what the agent of vehicle N received and decided (docs/recording.md)
-
---external FILE flies the same scenario with agents alone. FILE gives for each vehicle the endpoint of its autopilot, its
-hover thrust and its drag (see config/external/ and docs/external.md). No command is given before all vehicles are ready: the
-autopilots' own checks pass, origin and position are known, parameters are in order, and each vehicle is on the ground within
-10 m of its starts_enu_m, by fleet.origin, and apart from the others. A vehicle that is armed already, or that its pilot takes
-over in flight, is left alone. Neither Ctrl-C nor a failure ends the autopilots: the vehicles are landed and left. Their true
-positions are unknown: estimated_N.csv instead of truth_N.csv holds the positions that each reported in the air, ten times a
-second, and summary.json has `tracks: estimated`. The stand_in section of the scenario is not used.
-
-On a busy machine a line after the figures reports it: where more than 0.5 % of the ticks were missed, or an agent took more
-than 5 ms (p99) from telemetry to command, the figures are those of the machine rather than of the law.
-
-Ctrl-C lands all vehicles and stops everything; a second Ctrl-C stops at once.
-
-exit codes:
-  0    flown and landed
-  1    the flight failed; one line says which vehicle and why, the logs say more
-  2    the scenario, an argument, a port or the folder cannot be used; one line says which and what to do
-  130  ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM), vehicles landed
-""",
-    add_arguments=_add_fly,
-    run=_run_fly,
-    needs=("matplotlib", "rich"),
+FLY = command(
+    "fly",
+    "a whole fleet of real processes through a scenario, with figures at its end",
+    _add_fly,
+    _run_fly,
+    ("matplotlib", "rich"),
 )
 
 
-FLEET = CliCommand(
-    name="fleet",
-    summary="a fleet of real processes that waits on the ground for `companion fleet`",
-    description="""\
-A scenario's fleet as real processes, one stand-in autopilot and one agent per vehicle. It waits on the ground for an
-operator: `companion fleet` in a second terminal. The scenario's timeline is not flown; its targets move.
-""",
-    more="""\
-examples:
-  sitl fleet config/scenarios/ring_figure_8.yaml
-  sitl fleet config/scenarios/formations.yaml --set stand_in.sensors=ideal
-  sitl fleet config/scenarios/platoon.yaml --autopilot ardupilot --port-offset 100
-
-It prints what `companion fleet` needs and the ports for ground stations. Without --port-offset it takes the first of the
-offsets 0, 100, 200, ... with which all ports are free, so that several fleets can fly side by side.
-
-the folder (default: a new one, runs/fleet-SCENARIO-DATE-TIME; files of an older run in --out are removed):
-  fleet.yaml                     for `companion fleet --fleet`; vehicle_N.yaml, autopilot_N.yaml, scenario.yaml
-  truth_N.csv                    true positions of vehicle N, 50 times a second
-  agent_N.log                    output of the agents: every command and its answer is a line
-  autopilots_1_to_M.log          output of the stand-ins, up to sixteen in one process
-  vehicle_N_*.mcap               what the agent of vehicle N received and decided (docs/recording.md)
-
-Ctrl-C takes command, lands all vehicles where they are and stops everything; a second Ctrl-C stops at once. On a busy
-machine the last lines report it: where more than 0.5 % of the ticks were missed, or an agent took more than 5 ms (p99) from
-telemetry to command.
-
-exit codes:
-  0    ended by Ctrl-C, all vehicles landed
-  1    a vehicle could not be landed, or a process could not be ended; one line says which and why, the logs say more
-  2    the scenario, an argument, a port or the folder cannot be used; one line says which and what to do
-""",
-    add_arguments=_add_fleet,
-    run=_run_fleet,
-    needs=("rich",),
+FLEET = command(
+    "fleet",
+    "a fleet of real processes that waits on the ground for `companion fleet`",
+    _add_fleet,
+    _run_fleet,
+    ("rich",),
 )
