@@ -8,10 +8,12 @@ from math import hypot
 from pathlib import Path
 from typing import Annotated
 
+from msgspec import Meta
+
 from companion.config.file import ConfigError, convert, read_as
 from companion.config.fleet import FleetConfig, GeodeticOrigin
 from companion.config.validation import Problem
-from companion.config.values import Drag, HoverThrust, Section, VehicleId, about
+from companion.config.values import Drag, HoverThrust, Section, VehicleId
 from companion.config.vehicle import MavlinkEndpoint
 from companion.geometry.frames import geodetic_from_enu
 from companion.ground.answers import id_list
@@ -30,24 +32,25 @@ CLOSEST_M = 1.0  # two vehicles nearer than this, and than half their starts' di
 
 
 class ReachedVehicle(Section, frozen=True):
-    """How the agent of one vehicle reaches its autopilot, with the keys of a vehicle file."""
+    """How the agent of one vehicle reaches its autopilot, with the keys of a vehicle file.
+
+    autopilot: required autopilot; without a value the one of its HEARTBEAT
+    """
 
     id: VehicleId
     mavlink: MavlinkEndpoint
     hover_thrust_norm: HoverThrust
     drag_1_s: Drag = 0.25
-    autopilot: Annotated[
-        AutopilotKind | None, about("required autopilot; without a value the one of its HEARTBEAT")
-    ] = None
+    autopilot: AutopilotKind | None = None
 
 
 class ExternalFile(Section, frozen=True):
-    """The file of `sitl fly --external`."""
+    """The file of `sitl fly --external`.
 
-    external_vehicles: Annotated[
-        tuple[ReachedVehicle, ...],
-        about("the vehicles; more than the scenario has is allowed", min_length=1),
-    ]
+    external_vehicles: the vehicles; more than the scenario has is allowed
+    """
+
+    external_vehicles: Annotated[tuple[ReachedVehicle, ...], Meta(min_length=1)]
 
 
 def load_external(path: Path) -> tuple[ReachedVehicle, ...]:

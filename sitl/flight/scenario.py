@@ -27,7 +27,7 @@ from companion.config.planned_flight import (
 )
 from companion.config.reference import CircleReference, Figure8Reference, PointReference, Reference, WaypointsReference
 from companion.config.validation import Problem, each, unless_invalid
-from companion.config.values import Drag, HoverThrust, Name, PositionM, Section, VehicleId, about
+from companion.config.values import Drag, HoverThrust, Name, PositionM, Section, VehicleId
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.commands import CommandName
 from sitl.autopilots.types import parameter_problems
@@ -39,38 +39,44 @@ DONE_WITHIN_S, RETURNED_WITHIN_S = 30.0, 300.0
 
 
 class FormationStep(Section, frozen=True, kw_only=True):
-    """The formation of `command: formation`: a slot for each vehicle, or a shape, whose slots are assigned on command."""
+    """The formation of `command: formation`: a slot for each vehicle, or a shape, whose slots are assigned on command.
 
-    shape: Annotated[ShapeName | None, about("name of the shape")] = None
+    shape: name of the shape
+    slots_enu_m: the slot of every vehicle by id, instead of a shape
+    speed_m_s: speed of the fastest slot half way
+    """
+
+    shape: ShapeName | None = None
     spacing_m: SpacingM | None = None
     heading_deg: HeadingDeg = 0.0
-    slots_enu_m: Annotated[dict[VehicleId, PositionM], about("the slot of every vehicle by id, instead of a shape")] = (
-        field(default_factory=dict)
-    )
-    speed_m_s: Annotated[float, about("speed of the fastest slot half way", gt=0, le=50)] = 1.0
+    slots_enu_m: dict[VehicleId, PositionM] = field(default_factory=dict)
+    speed_m_s: Annotated[float, Meta(gt=0, le=50)] = 1.0
 
 
 class TimelineStep(Section, frozen=True, kw_only=True):
-    """One command: it is sent, the vehicles carry it out, then they stay so for `for_s`."""
+    """One command: it is sent, the vehicles carry it out, then they stay so for `for_s`.
 
-    command: Annotated[CommandName, about("the command; `take` and `abort` are for operators only")]
-    vehicles: Annotated[tuple[VehicleId, ...], about("ids of the vehicles; without any, all")] = ()
-    at_s: Annotated[
-        Annotated[float, Meta(ge=0, le=36_000)] | None,
-        about("earliest time of the flight; without a value right after the step before"),
-    ] = None
-    leaders: Annotated[tuple[VehicleId, ...], about("the new leaders, for `command: lead`")] = ()
-    formation: Annotated[FormationStep | None, about("the new slots, for `command: formation`")] = None
-    reference: Annotated[Reference, about("the new reference, for `command: reference`")] | None = None
-    for_s: Annotated[float, about("time before the next step, once all have done this one", ge=0, le=3600)] = 0.0
-    timeout_s: Annotated[
-        Annotated[float, Meta(gt=0, le=600)] | None,
-        about("time in which all must have done it; by default 30 s, `return` 300 s"),
-    ] = None
+    command: the command; `take` and `abort` are for operators only
+    vehicles: ids of the vehicles; without any, all
+    at_s: earliest time of the flight; without a value right after the step before
+    leaders: the new leaders, for `command: lead`
+    formation: the new slots, for `command: formation`
+    reference: the new reference, for `command: reference`
+    for_s: time before the next step, once all have done this one
+    timeout_s: time in which all must have done it; by default 30 s, `return` 300 s
+    may_fail: `true`: the flight goes on when vehicles have answered, or refused until `timeout_s`
+    """
 
-    may_fail: Annotated[
-        bool, about("`true`: the flight goes on when vehicles have answered, or refused until `timeout_s`")
-    ] = False
+    command: CommandName
+    vehicles: tuple[VehicleId, ...] = ()
+    at_s: Annotated[float, Meta(ge=0, le=36_000)] | None = None
+    leaders: tuple[VehicleId, ...] = ()
+    formation: FormationStep | None = None
+    reference: Reference | None = None
+    for_s: Annotated[float, Meta(ge=0, le=3600)] = 0.0
+    timeout_s: Annotated[float, Meta(gt=0, le=600)] | None = None
+
+    may_fail: bool = False
 
     @property
     def patience_s(self) -> float:
@@ -181,26 +187,32 @@ class Assumed(Section, frozen=True, kw_only=True):
 
 
 class MovingTarget(Section, frozen=True, kw_only=True):
-    """A target that moves along a curve and publishes its position and velocity, for a reference that follows it."""
+    """A target that moves along a curve and publishes its position and velocity, for a reference that follows it.
 
-    name: Annotated[Name, about("name of the target, as a reference names it")] = "main"
-    path: Annotated[PointReference | Figure8Reference | CircleReference | WaypointsReference, about("the curve")]
-    begins_s: Annotated[float, about("time of the flight at which it begins to move and publish", ge=0, le=3600)] = 0.0
-    ends_s: Annotated[float, about("time of the flight after which it no longer publishes", gt=0, le=3600)] = 3600.0
+    name: name of the target, as a reference names it
+    path: the curve
+    begins_s: time of the flight at which it begins to move and publish
+    ends_s: time of the flight after which it no longer publishes
+    """
+
+    name: Name = "main"
+    path: PointReference | Figure8Reference | CircleReference | WaypointsReference
+    begins_s: Annotated[float, Meta(ge=0, le=3600)] = 0.0
+    ends_s: Annotated[float, Meta(gt=0, le=3600)] = 3600.0
 
 
 class AgentEnd(Section, frozen=True, kw_only=True):
     """The process of one agent ends: it neither sends nor receives.
 
     A new one may start, as systemd starts it. It has a new session, knows nothing of the flight, and observes.
+
+    at_s: time of the flight
+    restarts_after_s: time after the end at which a new agent starts; without it none does
     """
 
     vehicle: VehicleId
-    at_s: Annotated[float, about("time of the flight", ge=0, le=36_000)]
-    restarts_after_s: Annotated[
-        Annotated[float, Meta(gt=0, le=36_000)] | None,
-        about("time after the end at which a new agent starts; without it none does"),
-    ] = None
+    at_s: Annotated[float, Meta(ge=0, le=36_000)]
+    restarts_after_s: Annotated[float, Meta(gt=0, le=36_000)] | None = None
 
     @property
     def until_s(self) -> float:
@@ -209,25 +221,23 @@ class AgentEnd(Section, frozen=True, kw_only=True):
 
 
 class ScenarioFile(PlannedFlight, frozen=True, kw_only=True):
-    """A scenario file. Only `fleet.vehicles` (with their slots) and `reference` are required."""
+    """A scenario file. Only `fleet.vehicles` (with their slots) and `reference` are required.
 
-    origins_enu_m: Annotated[
-        dict[VehicleId, PositionM],
-        about("origin of the estimator of single stand-ins by id; the default is where each starts"),
-    ] = field(default_factory=dict)
-    reference: Annotated[Reference, about("the trajectory of the formation (RFT); vehicles that may lead get it")]
+    origins_enu_m: origin of the estimator of single stand-ins by id; the default is where each starts
+    reference: the trajectory of the formation (RFT); vehicles that may lead get it
+    targets: moving targets, for a reference of `kind: target`
+    agent_ends: agents whose processes end in flight, and may start again; in virtual time (`sitl run`)
+    timeline: the commands in order; the default is prepare, arm, takeoff, form for 60 s, hold, land
+    """
+
+    origins_enu_m: dict[VehicleId, PositionM] = field(default_factory=dict)
+    reference: Reference
     stand_in: StandIn = StandIn()
     assumed: Assumed = Assumed()
-    targets: Annotated[tuple[MovingTarget, ...], about("moving targets, for a reference of `kind: target`")] = ()
+    targets: tuple[MovingTarget, ...] = ()
     links: Links = Links()
-    agent_ends: Annotated[
-        tuple[AgentEnd, ...],
-        about("agents whose processes end in flight, and may start again; in virtual time (`sitl run`)"),
-    ] = ()
-    timeline: Annotated[
-        tuple[TimelineStep, ...],
-        about("the commands in order; the default is prepare, arm, takeoff, form for 60 s, hold, land"),
-    ] = STANDARD_TIMELINE
+    agent_ends: tuple[AgentEnd, ...] = ()
+    timeline: tuple[TimelineStep, ...] = STANDARD_TIMELINE
 
 
 class Scenario(Section, frozen=True, kw_only=True):

@@ -18,34 +18,43 @@ FlightTime = Annotated[float, about("time since the start of the stand-in", ge=0
 
 
 class Airframe(Section, frozen=True):
-    """Rigid body of eq. 1-5."""
+    """Rigid body of eq. 1-5.
 
-    mass_kg: Annotated[Positive, about("mass")] = 1.0
-    inertia_kg_m2: Annotated[
-        tuple[Positive, Positive, Positive], about("moments of inertia about the x, y and z axis")
-    ] = (0.021, 0.021, 0.042)
-    hover_thrust_norm: Annotated[
-        Annotated[float, Meta(ge=0.1, le=0.9)] | None,
-        about("hover thrust; without a value as measured: PX4 0.49, ArduCopter 0.365"),
-    ] = None
-    drag_n_per_m_s: Annotated[NonNegative, about("linear drag")] = 0.25
-    motor_lag_s: Annotated[float, about("time constant of the motors", ge=0, le=1)] = 0.05
-    attitude: Annotated[
-        Literal["rigid_body", "instant"],
-        about("`rigid_body`: simulated attitude control; `instant`: ideal, as in section 3.1 of the paper"),
-    ] = "rigid_body"
+    mass_kg: mass
+    inertia_kg_m2: moments of inertia about the x, y and z axis
+    hover_thrust_norm: hover thrust; without a value as measured: PX4 0.49, ArduCopter 0.365
+    drag_n_per_m_s: linear drag
+    motor_lag_s: time constant of the motors
+    attitude: `rigid_body`: simulated attitude control; `instant`: ideal, as in section 3.1 of the paper
+    """
+
+    mass_kg: Positive = 1.0
+    inertia_kg_m2: tuple[Positive, Positive, Positive] = (0.021, 0.021, 0.042)
+    hover_thrust_norm: Annotated[float, Meta(ge=0.1, le=0.9)] | None = None
+    drag_n_per_m_s: NonNegative = 0.25
+    motor_lag_s: Annotated[float, Meta(ge=0, le=1)] = 0.05
+    attitude: Literal["rigid_body", "instant"] = "rigid_body"
 
 
 class Sensors(Section, frozen=True):
-    """Errors of the autopilot's estimate: slow drifts (standard deviation, correlation time) and white noise."""
+    """Errors of the autopilot's estimate: slow drifts (standard deviation, correlation time) and white noise.
 
-    position_sd_m: Annotated[PerAxis, about("drift of the position, per axis")] = (0.0, 0.0, 0.0)
-    position_time_s: Annotated[Positive, about("correlation time of the position drift")] = 20.0
-    velocity_sd_m_s: Annotated[NonNegative, about("drift of the velocity")] = 0.0
-    velocity_time_s: Annotated[Positive, about("correlation time of the velocity drift")] = 2.0
-    velocity_white_sd_m_s: Annotated[NonNegative, about("white noise on the velocity")] = 0.0
-    attitude_sd_deg: Annotated[NonNegative, about("drift of roll and pitch")] = 0.0
-    origin_sd_m: Annotated[PerAxis, about("error of the vehicle's own origin, per axis")] = (0.0, 0.0, 0.0)
+    position_sd_m: drift of the position, per axis
+    position_time_s: correlation time of the position drift
+    velocity_sd_m_s: drift of the velocity
+    velocity_time_s: correlation time of the velocity drift
+    velocity_white_sd_m_s: white noise on the velocity
+    attitude_sd_deg: drift of roll and pitch
+    origin_sd_m: error of the vehicle's own origin, per axis
+    """
+
+    position_sd_m: PerAxis = (0.0, 0.0, 0.0)
+    position_time_s: Positive = 20.0
+    velocity_sd_m_s: NonNegative = 0.0
+    velocity_time_s: Positive = 2.0
+    velocity_white_sd_m_s: NonNegative = 0.0
+    attitude_sd_deg: NonNegative = 0.0
+    origin_sd_m: PerAxis = (0.0, 0.0, 0.0)
 
 
 SENSORS: dict[str, Sensors] = {
@@ -73,64 +82,77 @@ SENSORS: dict[str, Sensors] = {
 
 
 class Wind(Section, frozen=True):
-    """Steady wind and gusts (first order, seeded)."""
+    """Steady wind and gusts (first order, seeded).
 
-    mean_enu_m_s: Annotated[PositionM, about("steady wind, the direction it blows to")] = (0.0, 0.0, 0.0)
-    gust_sd_m_s: Annotated[NonNegative, about("standard deviation of the gusts")] = 0.0
-    gust_time_s: Annotated[Positive, about("correlation time of the gusts")] = 2.0
+    mean_enu_m_s: steady wind, the direction it blows to
+    gust_sd_m_s: standard deviation of the gusts
+    gust_time_s: correlation time of the gusts
+    """
+
+    mean_enu_m_s: PositionM = (0.0, 0.0, 0.0)
+    gust_sd_m_s: NonNegative = 0.0
+    gust_time_s: Positive = 2.0
 
 
 class EstimatorReset(Section, frozen=True):
-    """A step in the position estimate of one vehicle."""
+    """A step in the position estimate of one vehicle.
+
+    shift_enu_m: the step, added to the estimate from then on
+    """
 
     vehicle: VehicleId
     at_s: FlightTime
-    shift_enu_m: Annotated[PositionM, about("the step, added to the estimate from then on")]
+    shift_enu_m: PositionM
 
 
 class BatteryLevel(Section, frozen=True):
-    """The battery charge that one autopilot reports."""
+    """The battery charge that one autopilot reports.
+
+    percent: the charge from then on; -1: the autopilot does not know it
+    """
 
     vehicle: VehicleId
     at_s: FlightTime
-    percent: Annotated[int, about("the charge from then on; -1: the autopilot does not know it", ge=-1, le=100)]
+    percent: Annotated[int, Meta(ge=-1, le=100)]
 
 
 class PilotedFlight(Section, frozen=True):
     """A pilot takes over one flying vehicle and flies it straight on, whatever is in the way.
 
     The mode is PX4's POSCTL or ArduCopter's LOITER. A mode change by command ends it.
+
+    velocity_enu_m_s: velocity from then on
     """
 
     vehicle: VehicleId
     at_s: FlightTime
-    velocity_enu_m_s: Annotated[PositionM, about("velocity from then on")]
+    velocity_enu_m_s: PositionM
 
 
 class StandIn(Section, frozen=True):
-    """The simulated vehicles of a scenario, and the wind."""
+    """The simulated vehicles of a scenario, and the wind.
 
-    autopilot: Annotated[AutopilotKind, about("the autopilot whose behaviour they simulate")] = AutopilotKind.PX4
-    armable_after_s: Annotated[
-        Annotated[float, Meta(ge=0, le=600)] | None,
-        about("time from the start until arming is accepted; without a value as measured: PX4 4 s, ArduCopter 42 s"),
-    ] = None
+    autopilot: the autopilot whose behaviour they simulate
+    armable_after_s: time from the start until arming is accepted; without a value as measured: PX4 4 s, ArduCopter 42 s
+    sensors: `ideal`: no errors; `default`: a good estimator; `px4_sih`: PX4's SIH with stock EKF2 parameters;
+        `ardupilot_sitl`: ArduCopter's SITL
+    seed: seed of all random errors
+    estimator_resets: steps in position estimates
+    batteries: battery charges; without any, they are full
+    pilots: vehicles that a pilot takes over
+    parameters: autopilot parameters by name, for those that the stand-in has
+    """
+
+    autopilot: AutopilotKind = AutopilotKind.PX4
+    armable_after_s: Annotated[float, Meta(ge=0, le=600)] | None = None
     airframe: Airframe = Airframe()
-    sensors: Annotated[
-        Literal["ideal", "default", "px4_sih", "ardupilot_sitl"] | Sensors,
-        about(
-            "`ideal`: no errors; `default`: a good estimator; `px4_sih`: PX4's SIH with stock EKF2 parameters;"
-            " `ardupilot_sitl`: ArduCopter's SITL"
-        ),
-    ] = "default"
+    sensors: Literal["ideal", "default", "px4_sih", "ardupilot_sitl"] | Sensors = "default"
     wind: Wind = Wind()
-    seed: Annotated[int, about("seed of all random errors", ge=0)] = 1
-    estimator_resets: Annotated[tuple[EstimatorReset, ...], about("steps in position estimates")] = ()
-    batteries: Annotated[tuple[BatteryLevel, ...], about("battery charges; without any, they are full")] = ()
-    pilots: Annotated[tuple[PilotedFlight, ...], about("vehicles that a pilot takes over")] = ()
-    parameters: Annotated[dict[str, float], about("autopilot parameters by name, for those that the stand-in has")] = (
-        field(default_factory=dict)
-    )
+    seed: Annotated[int, Meta(ge=0)] = 1
+    estimator_resets: tuple[EstimatorReset, ...] = ()
+    batteries: tuple[BatteryLevel, ...] = ()
+    pilots: tuple[PilotedFlight, ...] = ()
+    parameters: dict[str, float] = field(default_factory=dict)
 
     def sensor_model(self) -> Sensors:
         """The sensors by name, or as given."""
@@ -142,17 +164,16 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 class Partition(Section, frozen=True):
-    """A time in which packets between some vehicles and all others of the fleet are lost."""
+    """A time in which packets between some vehicles and all others of the fleet are lost.
 
-    vehicles: Annotated[
-        tuple[VehicleId, ...], about("the vehicles on one side; all others are on the other", min_length=1)
-    ]
+    vehicles: the vehicles on one side; all others are on the other
+    lost: which packets of these vehicles are lost: `received` ones, `sent` ones, or `both`
+    """
+
+    vehicles: Annotated[tuple[VehicleId, ...], Meta(min_length=1)]
     from_s: FlightTime
     until_s: FlightTime
-    lost: Annotated[
-        Literal["both", "received", "sent"],
-        about("which packets of these vehicles are lost: `received` ones, `sent` ones, or `both`"),
-    ] = "both"
+    lost: Literal["both", "received", "sent"] = "both"
 
     def separates(self, sender: int, receiver: int, now_s: float) -> bool:
         """Whether a packet that is sent now is lost."""
@@ -165,29 +186,26 @@ class Links(Section, frozen=True):
     """Links of the vehicles. `peer_*` and `partitions` also hold for real processes, over a network emulated in user space.
 
     The defaults are as measured between real processes on one machine. A packet also waits for the next tick of its receiver.
+
+    telemetry_delay_s: from sampling to the tick of the agent; `sitl run` only
+    setpoint_delay_s: from the tick of the agent to the autopilot; `sitl run` only
+    peer_delay_s: smallest delay between agents
+    peer_jitter_s: largest addition to that delay, uniformly distributed; above 0.02 s packets are reordered
+    peer_loss: share of the packets between agents that are lost
+    peer_duplicates: share of the packets between agents that arrive twice
+    peer_transport: how real processes exchange states: over Zenoh in TCP streams, or as UDP datagrams; `sitl run`
+        always loses and delays single packets, as with datagrams
+    partitions: times in which vehicles receive nothing from each other
     """
 
-    telemetry_delay_s: Annotated[DelaySeconds, about("from sampling to the tick of the agent; `sitl run` only")] = (
-        0.0003
-    )
-    setpoint_delay_s: Annotated[DelaySeconds, about("from the tick of the agent to the autopilot; `sitl run` only")] = (
-        0.0005
-    )
-    peer_delay_s: Annotated[DelaySeconds, about("smallest delay between agents")] = 0.001
-    peer_jitter_s: Annotated[
-        DelaySeconds,
-        about("largest addition to that delay, uniformly distributed; above 0.02 s packets are reordered"),
-    ] = 0.0
-    peer_loss: Annotated[Share, about("share of the packets between agents that are lost")] = 0.0
-    peer_duplicates: Annotated[Share, about("share of the packets between agents that arrive twice")] = 0.0
-    peer_transport: Annotated[
-        Literal["tcp", "udp"],
-        about(
-            "how real processes exchange states: over Zenoh in TCP streams, or as UDP datagrams; `sitl run` always"
-            " loses and delays single packets, as with datagrams"
-        ),
-    ] = "tcp"
-    partitions: Annotated[tuple[Partition, ...], about("times in which vehicles receive nothing from each other")] = ()
+    telemetry_delay_s: DelaySeconds = 0.0003
+    setpoint_delay_s: DelaySeconds = 0.0005
+    peer_delay_s: DelaySeconds = 0.001
+    peer_jitter_s: DelaySeconds = 0.0
+    peer_loss: Share = 0.0
+    peer_duplicates: Share = 0.0
+    peer_transport: Literal["tcp", "udp"] = "tcp"
+    partitions: tuple[Partition, ...] = ()
 
     @property
     def disturb_peers(self) -> bool:
@@ -197,13 +215,17 @@ class Links(Section, frozen=True):
 
 
 class AutopilotFile(Section, frozen=True):
-    """The file of `sitl autopilot --config`: one simulated vehicle."""
+    """The file of `sitl autopilot --config`: one simulated vehicle.
+
+    world_origin: zero of the world frame (ENU)
+    start_enu_m: start in the world frame
+    origin_enu_m: zero of the autopilot's own frame; without a value at the start
+    start_yaw_deg: yaw at the start: 0 is east, counterclockwise
+    """
 
     id: VehicleId = 1
-    world_origin: Annotated[GeodeticOrigin, about("zero of the world frame (ENU)")] = DEFAULT_ORIGIN
-    start_enu_m: Annotated[PositionM, about("start in the world frame")] = (0.0, 0.0, 0.0)
-    origin_enu_m: Annotated[
-        PositionM | None, about("zero of the autopilot's own frame; without a value at the start")
-    ] = None
-    start_yaw_deg: Annotated[float, about("yaw at the start: 0 is east, counterclockwise", ge=-360, le=360)] = 0.0
+    world_origin: GeodeticOrigin = DEFAULT_ORIGIN
+    start_enu_m: PositionM = (0.0, 0.0, 0.0)
+    origin_enu_m: PositionM | None = None
+    start_yaw_deg: Annotated[float, Meta(ge=-360, le=360)] = 0.0
     stand_in: StandIn = StandIn()
