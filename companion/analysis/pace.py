@@ -17,7 +17,7 @@ from companion.types.flight import Role
 from companion.types.steps import Steps
 from companion.types.values import GRAVITY_M_S2, Vector3
 
-USUAL_DRAG_1_S = 0.25  # of a small open quadrotor
+USUAL_DRAG_1_S = 0.25  # drag of a small open quadrotor
 
 
 def following_steps(

@@ -25,10 +25,10 @@ from companion.types.steps import Steps, whole
 from companion.types.values import Vector3
 
 TICK_S = 0.02
-PHASES = 48  # of a lap at which two harmonics are added
+PHASES = 48  # two harmonics are added at so many phases of a lap
 SLOWER, FINER, MOST_STEPS = 1.5, 6, 10  # search for the pace that would do
-OVERSHOOT = 1.3  # of the shift of two vehicles when a motion begins, relative to that of the steady motion; flown: 1.2
-ROUNDING = 0.02  # of the separation: less than sensor errors
+OVERSHOOT = 1.3  # at its start a motion shifts two vehicles by this factor more than when steady; flown: 1.2
+ROUNDING = 0.02  # tolerance relative to the limit, less than sensor errors
 COST_PER_STEP = 700  # see Chain.cost
 
 Graph = Mapping[int, Collection[int]]

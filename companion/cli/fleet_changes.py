@@ -50,7 +50,7 @@ have the meaning of the keys of a file:
   reference: {kind: circle, centre_enu_m: [0, 0, 4], radius_m: 8, period_s: 30, clockwise: true}
 """
 
-OPTION_PREFIX = "reference."  # of the argparse destination of an option that is a key of the file
+OPTION_PREFIX = "reference."  # argparse destinations that begin so are keys of the reference file
 
 
 def add_formation_options(parser: argparse.ArgumentParser) -> None:

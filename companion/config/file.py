@@ -48,7 +48,7 @@ def read_regular(path: Path, most_bytes: int = MAX_BYTES) -> tuple[bytes, os.sta
 
 
 MAX_DEPTH = 50  # levels of a file; ours have five
-MAX_VALUES = 10_000  # of a file, with all aliases expanded; 250 vehicles have 2500
+MAX_VALUES = 10_000  # largest number of values in a file, aliases expanded; 250 vehicles have 2500
 TOO_MANY_VALUES = f"more than {MAX_VALUES} values, counting each alias as what it stands for"
 
 T = TypeVar("T")
@@ -133,8 +133,8 @@ class StrictLoader(yaml.SafeLoader):
 
     def __init__(self, stream: str) -> None:
         super().__init__(stream)
-        self._count = 0  # of values so far
-        self._open_anchors: list[str | None] = []  # of the nodes around the one that is being read
+        self._count = 0  # values read so far
+        self._open_anchors: list[str | None] = []  # anchors of the nodes that enclose the one being read
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event: Any = self.peek_event()  # type: ignore[no-untyped-call]
@@ -194,7 +194,7 @@ def _values(node: yaml.Node, known: dict[yaml.Node, int]) -> int:
 
 
 FileKind = Literal["scenario", "vehicle", "fleet", "external", "slots", "reference"]
-FILE_KINDS: dict[FileKind, tuple[str, frozenset[str]]] = {  # its name in messages, and keys that no other kind has
+FILE_KINDS: dict[FileKind, tuple[str, frozenset[str]]] = {  # name in messages, and keys that no other kind has
     "scenario": ("a scenario", frozenset({"starts_enu_m", "timeline"})),
     "vehicle": ("a vehicle file", frozenset({"mavlink", "hover_thrust_norm"})),
     "fleet": ("a fleet file", frozenset({"vehicles", "neighbours", "takeoff_height_m"})),

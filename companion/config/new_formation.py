@@ -38,7 +38,7 @@ ProblemsOf = Callable[[FleetConfig, Reference], Iterable[Problem]]
 """Why a fleet cannot fly a reference."""
 ReferenceKind = Literal["point", "circle", "figure_8", "waypoints"]
 CRUISE_M_S = 2.0  # speed of a moving reference, if the formation can turn as fast
-TURNING_SLOT_SPEED_M_S = 2.0  # of formations that turn: at the default of 1 m/s a lap would take minutes
+TURNING_SLOT_SPEED_M_S = 2.0  # default for formations that turn: at 1 m/s a lap would take minutes
 SLOWER = 1.1  # factor by which a reference is made slower until the formation can follow it
 MOST_ATTEMPTS = 60
 PACE_FIELDS = frozenset({"reference.period_s", "reference.max_speed_m_s", "reference.max_acceleration_m_s2"})

@@ -35,7 +35,13 @@ from companion.geometry.curves import (
 from companion.types.values import ZERO3, Vector3
 
 RAMP_SAMPLES, LAP_SAMPLES = 100, 500
-TARGET_RATES = (0.1, 0.3, 1.0, 2.0, 4.0)  # of a target's motion, in units of largest acceleration over largest speed
+TARGET_RATES = (
+    0.1,
+    0.3,
+    1.0,
+    2.0,
+    4.0,
+)  # frequencies of a target's motion to check, times largest acceleration over speed
 
 
 Speed = Annotated[float, about("largest speed", ge=0.01, le=100)]
@@ -143,7 +149,7 @@ class LappingReference(BaseReference, frozen=True, kw_only=True):
     ramp_s: time from rest to full pace
     """
 
-    LAP_SAMPLES: ClassVar[int]  # of LAP_SAMPLES, as far as pace and turns differ
+    LAP_SAMPLES: ClassVar[int]  # so many of the LAP_SAMPLES points of a lap differ in pace or turn
     PLACE = "centre"
 
     period_s: Annotated[float, Meta(ge=1, le=3600)]

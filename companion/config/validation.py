@@ -22,7 +22,10 @@ from companion.types.errors import CompanionError
 
 Arguments = ParamSpec("Arguments")
 T = TypeVar("T")
-YAML_NAMES = {"object": "a section with keys", "array": "a list"}  # of msgspec's names for types
+YAML_NAMES = {
+    "object": "a section with keys",
+    "array": "a list",
+}  # what messages say instead of msgspec's names for types
 
 
 class Problem(NamedTuple):

@@ -22,7 +22,7 @@ UP, DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 EAST, WEST, NORTH, SOUTH = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)
 TOUCHES_M = 1e-9
 GAPS_PER_STEP = 500  # distances to walls and obstacles
-CIRCLE_CORNERS = 24  # of a cylinder as it is drawn
+CIRCLE_CORNERS = 24  # a cylinder is drawn as a polygon with so many corners
 
 
 class Cylinder(Struct, frozen=True, gc=False):
@@ -101,7 +101,7 @@ class Fence(Struct, frozen=True, gc=False):
 
     min_enu_m: Vector3
     max_enu_m: Vector3
-    corners_enu_m: tuple[Corner, ...] = ()  # of the polygon in order; empty for a plain box
+    corners_enu_m: tuple[Corner, ...] = ()  # corners of the polygon in order; empty for a plain box
 
     def contains(self, position_enu_m: Vector3) -> bool:
         """Whether a position lies inside. False for NaN."""

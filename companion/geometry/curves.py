@@ -15,8 +15,8 @@ Motion = tuple[Vector3, Vector3, Vector3]
 Curve = Callable[[float], Motion]
 """Motion at a time [s] since the start of the curve; before it, rest at the first point."""
 
-PEAK_SPEED = 1.875  # of `rest_to_rest`, in path lengths per duration
-PEAK_ACCELERATION = 10.0 / sqrt(3.0)  # in path lengths per duration squared
+PEAK_SPEED = 1.875  # largest speed of `rest_to_rest`, in path lengths per duration
+PEAK_ACCELERATION = 10.0 / sqrt(3.0)  # likewise, in path lengths per duration squared
 SHORTEST_LEG_M = 1e-6  # a shorter one takes no time
 MANY_LEGS, DURATION_STEP = 32, 1.06
 

@@ -197,7 +197,7 @@ def _closest_pair(a0: Vector3, a1: Vector3, b0: Vector3, b1: Vector3) -> float:
     return hypot(x + share * dx, y + share * dy, z + share * dz)
 
 
-# Of a slot by each of: rotation, a formation change, joining, gap filling.
+# Largest acceleration of a slot by each of: rotation, a formation change, joining, gap filling.
 SLOT_ACCELERATION_M_S2 = 1.0
 MAX_RATE_RAD_S = 1.0  # also if all slots are near the RFT
 MAX_ACCELERATION_RAD_S2 = 1.0

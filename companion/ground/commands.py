@@ -49,7 +49,7 @@ from companion.types.values import ZERO3
 POLL_S = 0.01
 PREPARED_WITHIN_S = 8.0  # the longest mode change of an autopilot, with a margin
 PROGRESS_EVERY_S = 0.05
-FIRST_REPORTS_S = 1.0  # of all vehicles, before progress without them is shown
+FIRST_REPORTS_S = 1.0  # wait this long for a report of every vehicle before progress is shown
 
 
 class OperateError(CompanionError):

@@ -46,8 +46,8 @@ class FleetRequest:
     as_json: bool
     wait: bool = True  # until the action is finished, after all vehicles have accepted it
     identity: Path | None = None
-    timeout_s: float | None = None  # of that wait; None for the default of the action
-    admission_list: Path | None = None  # of the action `admit`
+    timeout_s: float | None = None  # longest wait until the action is finished; None for the default of the action
+    admission_list: Path | None = None  # used by the action `admit` only
 
 
 def run_fleet(request: FleetRequest) -> int:

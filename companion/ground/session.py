@@ -89,7 +89,7 @@ class FleetSession(GroundConnection):
         self.rejected: Counter[str] = Counter()
         self._reports = self.session.declare_subscriber(status, zenoh.handlers.RingChannel(REPORTS_KEPT))
         self._replies = self.session.declare_subscriber(reply, zenoh.handlers.RingChannel(REPLIES_KEPT))
-        self._lock = threading.Lock()  # of all below
+        self._lock = threading.Lock()  # protects the fields below
         self._undrained: deque[StatusReport] = deque(maxlen=REPORTS_KEPT)
         self._undrained_replies: deque[tuple[str, CommandReply]] = deque(maxlen=REPLIES_KEPT)
         # Vehicle and number of the commands that wait for a reply, or had one; the order is that of sending.
@@ -97,7 +97,7 @@ class FleetSession(GroundConnection):
         self._undrained_commands: deque[Command] = deque(maxlen=COMMANDS_KEPT)
         self._mailboxes: list[deque[CommandReply]] = []  # one for each `ask` under way
         self._newest: dict[int, tuple[float, Status]] = {}  # by vehicle, with the time of arrival
-        self._numbers: dict[int, int] = {}  # of the last command to each vehicle
+        self._numbers: dict[int, int] = {}  # number of the last command to each vehicle
 
     def drain(self) -> list[StatusReport]:
         """All reports since the last call, oldest first. Never blocks."""

@@ -82,7 +82,7 @@ class AutopilotLink:
         self._translator = translator
         self._position_arrived = position_arrived
         self._reject = reject
-        self._telemetry: deque[Telemetry] = deque(maxlen=SAMPLES_KEPT)  # of a flood the newest remain
+        self._telemetry: deque[Telemetry] = deque(maxlen=SAMPLES_KEPT)  # in a flood only the newest remain
         self._received: Counter[type[Telemetry]] = Counter()  # samples since the last check of the streams
         self._has_position = False  # among what was read just now
         self._heartbeat_received = asyncio.Event()

@@ -110,7 +110,7 @@ def open_link(endpoint: str, received: Received, all_read: AllRead) -> UdpLink |
     return UdpLink(address, int(number), received, all_read)
 
 
-DATAGRAM_BYTES = 4096  # of a datagram: autopilots send at most an Ethernet frame
+DATAGRAM_BYTES = 4096  # autopilots send at most an Ethernet frame
 DATAGRAMS_PER_WAKE_UP = 64  # the rest wakes the loop again, after a tick that may be due
 BYTES_PER_WAKE_UP = 8192  # some 200 messages: 2 ms
 RELOCK_AFTER_S = 5.0  # a restarted autopilot may send from another port
@@ -214,7 +214,7 @@ def _arrival_s(ancillary: list[tuple[int, int, bytes]]) -> float:
 READ_BYTES = 4096  # at once, some 100 messages; the rest wakes the loop again, after a tick that may be due
 RECONNECT_FIRST_S, RECONNECT_MAX_S = 0.2, 2.0
 BACKLOG_BYTES = 1024  # most unsent bytes in the kernel before data is dropped: a third of a second of setpoints
-SERIAL_IDLE_BYTES, TCP_IDLE_BYTES = 64, 512  # of TCP those that are not acknowledged
+SERIAL_IDLE_BYTES, TCP_IDLE_BYTES = 64, 512  # unsent bytes with which a link counts as idle; TCP: unacknowledged ones
 _INT = struct.Struct("@i")
 SILENT_PEER_MS = 5000  # a TCP connection without acknowledgements for this time is lost
 

@@ -21,7 +21,7 @@ from companion.mavlink.ground_station import GroundStationFilter
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 
-READ_BYTES = 2048  # of a datagram: ground stations send at most an Ethernet frame
+READ_BYTES = 2048  # ground stations send at most an Ethernet frame
 DATAGRAMS_PER_WAKE_UP = 4  # the rest wakes the loop again, after a tick that may be due
 PACE_S = 0.005  # one packet to the autopilot at a time, at most 200 a second
 MOST_WAITING = 32  # packets; the last of them is sent within 0.16 s while the link is free

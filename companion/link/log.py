@@ -18,9 +18,9 @@ from companion.types.notices import Notice
 from companion.types.rejections import rejection_text
 from companion.types.values import printable_lines
 
-REPEAT_AFTER_S = 1.0  # of a key
+REPEAT_AFTER_S = 1.0  # a key is logged again after this time
 BURST = 20  # lines of one code at once
-LINES_PER_S = 1.0  # of one code, after that
+LINES_PER_S = 1.0  # then at most this many lines of one code
 LINES_KEPT = 500  # that wait for the stream
 FLUSH_S = 1.0
 FLAGS = frozenset(str(flag) for flag in HealthFlag)

@@ -327,7 +327,7 @@ class MavlinkCodec:
         self._signed = SignedMavlink(system_id, component_id, key) if key else None
         self._mav = self._signed or mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._reader = PacketReader(self._signed.refusal if self._signed else None)
-        self._packets: list[Packet] = []  # of the last `read`
+        self._packets: list[Packet] = []  # packets that the last `read` returned
 
     @property
     def refused(self) -> Counter[str]:

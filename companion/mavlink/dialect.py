@@ -46,7 +46,7 @@ class Dialect(Protocol):
 
     NAME: str  # for display
     MAV_AUTOPILOT: int
-    MAV_TYPES: frozenset[int]  # of its vehicles; empty for any
+    MAV_TYPES: frozenset[int]  # vehicle types that are accepted; empty for any
     PROFILE: AutopilotProfile  # what the core knows of it
     LOGS: LogHabits
     STREAMS_US: dict[int, int]  # requested message intervals: message id -> microseconds; -1 is off

@@ -43,7 +43,7 @@ class Translator:
         self._texts = telemetry.TextAssembler()
         self.rejected: Counter[str] = Counter()  # damaged or implausible packets, by code
         self.other_systems: set[int] = set()  # received system ids other than the own one
-        self.refused_signature: Code | None = None  # of the last packet with a refused signature
+        self.refused_signature: Code | None = None  # why the last packet with a wrong signature was refused
         self.lacks_key = False  # the autopilot signs, and this agent has no key
         self._autopilot = autopilot
         self.refused_heartbeat = ""  # reason for the last refused HEARTBEAT

@@ -89,7 +89,7 @@ async def _handled(request: web.Request, handler: Handler) -> web.StreamResponse
         return await handler(request)
     except web.HTTPRequestEntityTooLarge:
         return error(413, "the request is too long")
-    except web.HTTPException as answer:  # of aiohttp: an unknown path or method
+    except web.HTTPException as answer:  # raised by aiohttp: an unknown path or method
         return error(answer.status, f"{request.method} {request.path[:200]}: {answer.reason}")
     except web.RequestPayloadError:
         return error(400, "the body cannot be read; expected it as Content-Encoding and Content-Length say")

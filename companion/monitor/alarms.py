@@ -59,7 +59,7 @@ class Delay:
     """
 
     def __init__(self) -> None:
-        self._since_s: dict[Key, float] = {}  # of the present conditions
+        self._since_s: dict[Key, float] = {}  # since when each present condition has lasted
 
     def lasting(self, now_s: float, conditions: Mapping[Key, AlarmCondition]) -> dict[Key, AlarmCondition]:
         """Those of the present conditions that are critical, or have lasted."""

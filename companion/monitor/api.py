@@ -15,7 +15,7 @@ from companion.types.status import NetworkState, RecordingState
 from companion.types.values import Finite, FleetName, Vector3, VehicleIds, Word
 
 API_VERSION = 1
-TOKEN_HEADER = "X-Companion-Token"  # of a POST with --control: the token of the printed URL, after #token=
+TOKEN_HEADER = "X-Companion-Token"  # a POST with --control needs it: the token of the printed URL, after #token=
 Severity = CodeSeverity
 
 
@@ -67,7 +67,7 @@ class VehicleView(Struct, frozen=True, kw_only=True):
     age_s: float  # since the last report
     data_age_s: (
         float | None
-    )  # of the position: its age on board and the time since the report; None where there never was one
+    )  # age of the position: on board, plus the time since the report; None if there never was a position
     report_rate_hz: float
     phase: str
     role: str
@@ -85,7 +85,7 @@ class VehicleView(Struct, frozen=True, kw_only=True):
     leader_beacon_age_s: float | None
     neighbours: tuple[NeighbourView, ...]
     peers: tuple[int, ...]  # fresh ones
-    slot_position_enu_m: Vector3 | None  # of its slot now: reference plus turned offset
+    slot_position_enu_m: Vector3 | None  # present position of its slot: reference plus turned offset
     slot_offset_enu_m: Vector3  # in the formation's own frame
     error_to_slot_m: float | None
     reference_enu_m: Vector3 | None  # leaders only
@@ -109,8 +109,8 @@ class FleetView(Struct, frozen=True, kw_only=True):
     """Figures of a whole fleet. Those of the law need its fleet file, and are None without it."""
 
     name: str
-    vehicle_ids: tuple[int, ...]  # that ever reported
-    missing_ids: tuple[int, ...]  # of the fleet file, that never reported; none without the file
+    vehicle_ids: tuple[int, ...]  # vehicles that ever reported
+    missing_ids: tuple[int, ...]  # vehicles of the fleet file that never reported; none without the file
     leader_ids: tuple[int, ...]
     smallest_separation_m: float | None
     smallest_separation_pair: tuple[int, int] | None
@@ -118,7 +118,7 @@ class FleetView(Struct, frozen=True, kw_only=True):
         bool  # the second of the pair does not report here; the distance is as the first sees it
     )
     separation_trend_m_s: float | None  # over the last five seconds; negative: closing
-    lambda_min: float | None  # of the interaction matrix G of the present neighbours (eq. 18)
+    lambda_min: float | None  # smallest eigenvalue of the interaction matrix G of the present neighbours (eq. 18)
     settling_s: float | None  # predicted, to a tenth of an error
     link_margin_m: (
         float | None

@@ -21,7 +21,7 @@ from companion.types.values import Vector3
 TREND_S = 5.0
 SAMPLE_S = 0.5
 FIGURES_EVERY_S = 1.0
-SHRUNK_TO = 0.1  # of an error: the settling time
+SHRUNK_TO = 0.1  # the settling time is until an error has shrunk to this share
 
 Pair = tuple[int, int]
 Edges = frozenset[Pair]

@@ -162,7 +162,7 @@ FLEET_MEASURES: tuple[Measure[FleetView], ...] = (
     _f("settling_seconds", "Predicted time to a tenth of an error", lambda f: f.settling_s),
     _f("link_margin_meters", "How much farther apart the weakest neighbours may get", lambda f: f.link_margin_m),
 )
-# Of the server; their values are in `_of_server`.
+# Measures of the server itself; `_of_server` computes their values.
 SERVER_MEASURES: dict[str, str] = {
     "companion_monitor_snapshot_timestamp_seconds": "Unix time of the values, in a replay that of the flight",
     "companion_monitor_replay": "1 while the monitor shows a recording",

@@ -42,7 +42,7 @@ from companion.wire.messages import StatusReport
 
 RATE_OVER_S = 3.0
 HEARD_WITHIN_S = 5.0  # after the first vehicle of its fleet
-TIMES_KEPT = 64  # of the reports of a vehicle, for its rate
+TIMES_KEPT = 64  # arrival times of a vehicle's reports, for its report rate
 
 
 class Picture:
@@ -235,7 +235,7 @@ def _sample(vehicle: VehicleView) -> HistorySample:
     )
 
 
-NO_ORIGIN = (0.0, 0.0, 0.0)  # of a fleet indoors: there is no map below it
+NO_ORIGIN = (0.0, 0.0, 0.0)  # stands for the origin of a fleet indoors, which has no map
 
 
 def fleet_map(fleet: FleetConfig, homes_enu_m: Mapping[int, Vector3]) -> FleetFileView:

@@ -19,7 +19,7 @@ from companion.wire.messages import StatusReport
 TimedReport = tuple[float, StatusReport]
 BEFORE_JUMP_S = 2.0  # after a jump in a replay these reports are read, for rates and changes
 REFUSED_EVERY_S = 60.0
-NO_FLEET = ""  # of an event that no fleet can be named for
+NO_FLEET = ""  # stands for the fleet in an event that concerns no known fleet
 MOST_AT_ONCE = 20_000  # reports in one call
 
 

@@ -30,7 +30,7 @@ from companion.recording.mcap_file import Warn
 from companion.recording.reader import Recording
 from companion.recording.records import INBOX
 
-EVERY = 5  # of this many ticks the packets of one are used
+EVERY = 5  # packets of every fifth tick are enough
 SAME_BOOT_S = 2.0  # two starts of one computer without a boot between them agree by so much on when it booted
 
 Key = tuple[int, int]  # vehicle id and session
@@ -69,7 +69,7 @@ class RecordingClock:
 
     at_s: float
     unix_s: float  # common time at `at_s`
-    rate: float  # of common time against this clock, minus 1
+    rate: float  # how much faster common time runs than this clock, seconds per second
     width_s: float | None = None
 
     def common_s(self, now_s: float) -> float:
@@ -168,8 +168,8 @@ Floats = NDArray[np.float64]
 MAX_RATE = 3e-4  # seconds per second; the clocks of two computers drift apart by less
 RATE_NEEDS_S = 30.0  # a rate that only messages nearer to each other than this show is noise
 BIN_S = 5.0  # one bound for each direction in this time
-SURE = 20  # of so many messages in a bin the second best counts: one wrong time of sending must not decide
-RATE_STEPS = 80  # of the search, each a third nearer
+SURE = 20  # from so many messages in a bin the second best is used: one wrong sending time must not decide
+RATE_STEPS = 80  # steps of the search; each cuts the interval by a third
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +228,7 @@ def _widest(corridor: Callable[[float], tuple[float, float]]) -> float:
 
 
 APART_S = 3600.0  # what begins by more before or after all of a flight is none of it
-NAMED = 5  # of those that are left out
+NAMED = 5  # at most so many of the left-out recordings are named
 
 
 def of_one_flight(

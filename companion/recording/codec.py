@@ -38,7 +38,7 @@ T = TypeVar("T")
 Tick = TypeVar("Tick", bound=Struct)
 Message = DecisionRecord | TimingRecord | StatusReport | Notice | Command | CommandReply
 
-LAST_S = 1e10  # of all clocks, the year 2286: its nanoseconds fit into an MCAP time
+LAST_S = 1e10  # latest time of any clock, the year 2286: its nanoseconds fit into an MCAP time
 MAX_PART = 100_000
 
 _REQUESTS = {type_.__name__: type_ for type_ in get_args(AutopilotRequest)}

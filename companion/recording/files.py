@@ -82,7 +82,7 @@ class PartFiles(Generic[Piece]):
         self, flight: FlightFiles, kind: str, part_bytes: int, part_of: Callable[[int], PartFormat[Piece]]
     ) -> None:
         self._flight, self._kind, self._part_bytes, self._part_of = flight, kind, part_bytes, part_of
-        self._number = 0  # of the last part
+        self._number = 0  # number of the last part
         self._open: tuple[PartFormat[Piece], PartFile] | None = None
 
     def write(self, piece: Piece) -> None:

@@ -209,7 +209,7 @@ class _Channels:
 
     def __init__(self, topics: Collection[str]) -> None:
         self._wanted = frozenset(topics)
-        self._topics: dict[int, str] = {}  # of the wanted ones
+        self._topics: dict[int, str] = {}  # wanted topics by channel id
         self._known: set[int] = set()
         self._unknown = 0
 

@@ -48,7 +48,7 @@ from companion.wire.messages import StatusReport
 # Ticks. One after the other they take half the time, as the processor still has code and data at hand.
 ENCODED_TOGETHER = 10
 TOPICS = (INBOX, OUTBOX, DECISION, TIMING, STATUS, EVENT, COMMAND, REPLY)
-STATUS_PERIOD_S = 0.19  # of those without an event; every second one, also where it comes a little early
+STATUS_PERIOD_S = 0.19  # shortest time between two without events: records every second one, even if slightly early
 FAILED = RecordingState("dropping")
 
 _log = logging.getLogger(__name__)
@@ -103,7 +103,7 @@ class Recorder:
         self._drops = DropReport(writing)
         self._waiting: list[_Tick] = []
         self._packets: list[bytes] = []
-        self._status_s = -inf  # of the last one recorded
+        self._status_s = -inf  # when a status was last recorded
         self.ticks = 0  # recorded or lost
         self.has_failed = False
 

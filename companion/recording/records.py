@@ -40,7 +40,7 @@ INBOX, OUTBOX = "/inbox", "/outbox"  # one message for each tick, in this order
 DECISION, TIMING = "/decision", "/timing"  # one message for each tick
 STATUS = "/status"  # as published to the ground: five a second, and all with an event
 EVENT, COMMAND, REPLY = "/event", "/command", "/reply"  # as they occur
-GROUND_STATUS, GROUND_COMMAND = "/ground/status", "/ground/command"  # of a recording made on the ground
+GROUND_STATUS, GROUND_COMMAND = "/ground/status", "/ground/command"  # only in a recording made on the ground
 
 
 class Header(Struct, frozen=True, kw_only=True):
@@ -77,9 +77,9 @@ class DecisionRecord(Struct, frozen=True, kw_only=True):
     reference_enu_m: Vector3 | None  # leaders only
     neighbours: tuple[int, ...]
     weights: tuple[float, ...]  # w_ij of the neighbours, in their order; empty where the law does not use them
-    peer_ages_s: tuple[float, ...]  # of the neighbours, in their order
+    peer_ages_s: tuple[float, ...]  # age of each neighbour's packet, in their order
     acceleration_enu_m_s2: Vector3
-    roll_deg: float | None  # of the setpoint, which /outbox has exactly; None without one
+    roll_deg: float | None  # commanded roll, rounded (exact in /outbox); None without a setpoint
     pitch_deg: float | None
     yaw_deg: float | None
     thrust_norm: float | None
@@ -103,7 +103,7 @@ class TimingRecord(Struct, frozen=True):
     telemetry_to_command_us: int | None
 
 
-SCHEMA_ENCODING = "jsonschema"  # of the schemas, as MCAP names it
+SCHEMA_ENCODING = "jsonschema"  # how MCAP names the kind of the schemas
 MESSAGE_ENCODING = "json"
 Schema = dict[str, Any]
 

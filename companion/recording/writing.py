@@ -20,7 +20,7 @@ from companion.types.status import RecordingState
 WAITING = 16  # pieces; eight seconds of a recording with a .tlog
 RETRY_S = 5.0  # after an error
 CLOSE_WITHIN_S = 2.0
-NICENESS = 10  # of the thread: a tick that is due takes the processor from it
+NICENESS = 10  # low priority of the writing thread, so that a due tick comes first
 
 
 class Writing(Protocol):

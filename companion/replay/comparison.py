@@ -119,8 +119,8 @@ class SettingsComparison(Struct, frozen=True, kw_only=True):
     roll_deg: Deviation
     pitch_deg: Deviation
     thrust_norm: Deviation
-    first_tick: int | None  # of a difference
-    first_s: float | None  # the same, since the first tick
+    first_tick: int | None  # first tick with a difference
+    first_s: float | None  # time of that tick since the first one
     unusable: str = ""
 
 
@@ -257,7 +257,7 @@ def _differences(field: str, recorded: Any, computed: Any) -> Iterator[Differenc
     elif isinstance(recorded, Mapping) and isinstance(computed, Mapping):
         for key in sorted(recorded.keys() | computed.keys()):
             yield from _differences(f"{field}.{key}", recorded.get(key), computed.get(key))
-    elif repr(recorded) != repr(computed):  # of floats: the shortest digits that give the same bits
+    elif repr(recorded) != repr(computed):  # repr gives the shortest digits with the same bits
         yield Difference(field, _shown(recorded), _shown(computed))
 
 

@@ -135,11 +135,11 @@ def _left_out(code: Code, text: str) -> Finding:
     return finding(code, None, 0.0, text)
 
 
-STEP_S = 0.1  # of the search over all offsets
-FINE_S = 0.01  # and near the best one
+STEP_S = 0.1  # coarse search over all time offsets
+FINE_S = 0.01  # fine search near the best offset
 LEAST_OVERLAP_S = 10.0
 LEAST_MOTION_M_S = 0.1  # root mean square; vehicles at rest look the same at all times
-ENOUGH = 0.8  # of the motion that must be explained
+ENOUGH = 0.8  # this share of the motion must agree, or the log is left out
 NAMED = re.compile(r"vehicle-(\d{1,3})_")
 
 

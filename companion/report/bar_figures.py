@@ -33,7 +33,7 @@ from companion.report.plotting import (
 from companion.report.record_findings import LATE_P99_MS, TO_COMMAND_P99_MS, in_air_ms, percentiles
 from companion.types.flight import FlightPhase
 
-LETTER_ROOM = 0.012  # of a letter, as a share of the time shown
+LETTER_ROOM = 0.012  # width of a letter, as a share of the time shown
 EDGE: dict[str, Any] = {"edgecolor": "#555555", "linewidth": 0.5}
 GAP_S = 0.5  # a longer gap of the recording is no part of a bar
 # From light to dark with what is at stake; hatches tell apart what follows each other.

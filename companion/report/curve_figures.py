@@ -32,7 +32,7 @@ from companion.report.plotting import (
 )
 from companion.report.record_findings import LARGEST_POSITION_ERROR_M, LEAST_SATELLITES
 
-MOST_PAIRS = 10  # of large fleets only the nearest pairs are drawn
+MOST_PAIRS = 10  # for large fleets only the nearest pairs are drawn
 MOST_PANELS = 12
 SMOOTH_TICKS = 100  # 2 s: the estimate follows every gust and the noise
 JUDGED = "Judged are all records; drawn are the smallest and largest of each moment."
@@ -59,7 +59,7 @@ class CurvePanel:
     label: str
     curves: Sequence[DrawnCurve]
     limits: Sequence[tuple[float, str]] = ()
-    low: float | None = None  # of the axis; None: by the curves
+    low: float | None = None  # lower end of the axis; None: chosen from the curves
     high: float | None = None
     counts: bool = False  # the values are whole numbers
 

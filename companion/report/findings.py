@@ -160,7 +160,7 @@ class Episode(NamedTuple):
     first: int
     last: int
     held_s: float  # without the pauses between the stretches
-    longest_s: float  # of one stretch
+    longest_s: float  # duration of the longest stretch
 
     @property
     def duration_text(self) -> str:

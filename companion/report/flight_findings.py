@@ -15,7 +15,7 @@ from companion.types.code_table import code_entries
 from companion.types.flight import FLAG_TEXTS, STREAMING, FailsafeAction, HealthFlag
 from companion.types.notices import Code
 
-SAME_TICK_S = 0.005  # of an event and a tick
+SAME_TICK_S = 0.005  # an event this near to a tick belongs to it
 GIVEN_AGAIN_S = 5.0  # a refused command that is accepted within this time is information
 LOST_S = 0.25  # in three reports in a row
 LOST_APART_S = 1.0
@@ -60,7 +60,7 @@ def counts_of(vehicle: VehicleLog, flag: str) -> Bools:
 def _action(steps: tuple[tuple[float, FailsafeAction], ...], episode: Episode, streaming: bool) -> FailsafeAction:
     """The strongest step that came due while the flag was raised; a warning where no step is taken.
 
-    The steps count from when the flag is raised: once it is cleared, they begin anew.
+    The steps count from when the flag is raised: once it is cleared, they begin again.
     """
     due = [action for due_s, action in steps if due_s <= episode.longest_s + 0.02]
     return max(due, default=FailsafeAction.WARN) if streaming else FailsafeAction.WARN

@@ -234,7 +234,7 @@ VECTORS = (
     "wind_acceleration_enu_m_s2",
 )
 NO_VECTOR = (np.nan, np.nan, np.nan)
-LARGEST = 1e9  # of no quantity in the units of the records is there more
+LARGEST = 1e9  # a larger recorded value is damaged, whatever its unit
 
 
 def ticks_of(time_s: Sequence[float], records: Sequence[DecisionRecord]) -> TickColumns:

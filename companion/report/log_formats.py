@@ -19,7 +19,7 @@ from companion.report.autopilot_logs import AutopilotLog, LogError, LogMessage, 
 from companion.report.flight import Floats
 
 DATAFLASH_TYPES = ("POS", "XKF1", "BAT", "VIBE", "GPS", "GPA", "MSG", "ERR")
-DATAFLASH_VIBRATION_M_S2 = 30.0  # of VIBE
+DATAFLASH_VIBRATION_M_S2 = 30.0  # limit for the VIBE message
 METRES_PER_DEGREE = 111_319.5
 FIRST_ONLY = {"XKF1": "C", "BAT": "Inst", "VIBE": "IMU", "GPS": "I", "GPA": "I"}  # field that counts instances
 # Subsystems of ERR that are failsafes; a code of 0 is their end.
@@ -49,7 +49,7 @@ ULOG_TOPICS = (
     "vehicle_status",
 )
 SEVERE = frozenset({"EMERGENCY", "ALERT", "CRITICAL", "ERROR", "WARNING"})
-ULOG_VIBRATION_M_S2 = 9.81  # of accel_vibration_metric
+ULOG_VIBRATION_M_S2 = 9.81  # limit for accel_vibration_metric
 Rows = dict[str, list[Any]]
 
 

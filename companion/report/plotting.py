@@ -139,13 +139,13 @@ def draw_obstacles(axes: Axes, obstacles: Iterable[Obstacle]) -> None:
 
 # ------------------------------------------------------------ figures of the report's page
 
-WIDTH_IN = 7.3  # of A4 between margins of 12 mm
-COLUMNS = 500  # of a drawn curve: two values for each
+WIDTH_IN = 7.3  # the width of A4 between margins of 12 mm
+COLUMNS = 500  # a curve is drawn in so many columns, with two values in each
 TIME_LABEL = "time since the first record [s]"
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.62, 0.14, 0.38, 0.44  # margins; the right one has half a label of the time
 LEGEND_ROW_IN = 0.165
 LABEL_IN = 0.5  # from the values of an axis to its label
-SIZE = 8.0  # of text, points
+SIZE = 8.0  # text size in points
 STEPS_S = (0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200)
 MOST_STEPS = 12
 

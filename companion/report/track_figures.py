@@ -29,7 +29,7 @@ from companion.report.plotting import (
 
 Range = tuple[float, float]
 HIGHEST_IN = 5.2
-POINTS = 1500  # of a drawn track
+POINTS = 1500  # largest number of points in a drawn track
 MOST_CELLS = 16  # vehicles in the table of shares
 
 

@@ -203,7 +203,7 @@ MAX_LIST_BYTES = 256 * 1024
 MAX_PARTICIPANTS = 256
 MAX_REVOKED = 512
 MAX_LIST_NUMBER = 2**31
-SPKI_BYTES = 91  # of a P-256 key
+SPKI_BYTES = 91  # length of a P-256 public key
 
 CommonName = Annotated[str, Meta(max_length=64, pattern=rf"^{re.sub(r'[?]P<[a-z]+>', '', FORM.pattern)}\Z")]
 Serial = Annotated[str, Meta(pattern=r"^[1-9a-f][0-9a-f]{0,39}\Z")]

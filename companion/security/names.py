@@ -23,7 +23,7 @@ class ParticipantRole(StrEnum):
 
 
 LOWER_CASE = ("[a-z0-9][a-z0-9_-]{0,31}", "at most 32 lower-case letters, digits, - and _, a letter or digit first")
-IDS = {  # of each role, with the words for it
+IDS = {  # pattern of the ids of each role, and how messages describe it
     ParticipantRole.VEHICLE: ("[1-9][0-9]{0,2}", f"a vehicle id from 1 to {MAX_VEHICLES}"),
     ParticipantRole.GROUND: LOWER_CASE,
     ParticipantRole.MONITOR: LOWER_CASE,

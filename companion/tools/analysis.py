@@ -47,7 +47,7 @@ PREDICT_S = 120.0
 WORST_START_UP_TO = 100  # vehicles; for more the worst start takes too long to compute
 MORE = 0.1  # relative change of a gain that is tried
 NOT_READ = ("origins_enu_m", "stand_in", "assumed", "targets", "links", "timeline", "agent_ends")
-VELOCITY_ERROR_M_S = 0.1  # of an estimator against its own position
+VELOCITY_ERROR_M_S = 0.1  # assumed error of an estimator's velocity against its own position
 ERROR_TURNS_S = 30.0
 STEP_M = 1.0  # step of the reference that is predicted for a fleet file, which has no start positions
 
@@ -74,13 +74,13 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
     delay_margin_with_lag_s: float
     delay_margin_more_velocity_gain_s: float  # the same with MORE gain on velocity, to see whether that helps
     string_gain_per_hop: float | None
-    string_gain_per_hop_rad_s: float | None  # its frequency
+    string_gain_per_hop_rad_s: float | None  # frequency of the largest gain per hop
     string_gain_to_last: float | None
     string_gain_to_last_rad_s: float | None
     velocity_error_shift_m: float  # from the slot, by a constant VELOCITY_ERROR_M_S that the correction does not see
     velocity_error_shift_corrected_m: float  # by one that turns once in ERROR_TURNS_S, with law.velocity_correction_1_s
     transient_peak: float | None  # largest error over the largest at the start
-    worst_transient_peak: float | None  # of all starts; None for more than WORST_START_UP_TO vehicles
+    worst_transient_peak: float | None  # largest peak from any start; None for more than WORST_START_UP_TO vehicles
     time_to_10_cm_s: float | None  # by the rate alone
     predicted_settle_s: float | None  # by the linear model with attitude lag and delay
     leader_settle_s: float | None  # likewise, of a leader without neighbours from the same largest error
@@ -109,7 +109,7 @@ class Analysis(Struct, frozen=True, kw_only=True):
     reference_moves: bool  # in flight; in the predictions it is at rest at its start
     graph: dict[int, list[int]]
     laws: dict[LawName, LawAnalysis]
-    hops: int  # of the vehicle farthest from a leader
+    hops: int  # hops to the vehicle farthest from a leader
     lambda_min_by_leader: dict[int, float]
     gain_on_average: dict[LawName, float]
     unreached: list[int]  # vehicles without a path to a leader

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
-MOST_BYTES = 65536  # of one file; all that are read are far shorter
+MOST_BYTES = 65536  # most bytes read of one file; all are far shorter
 PROGRAM_S = 3.0
 PROGRAMS = {  # by the name under which the checks find the output
     "timedatectl": ("timedatectl", "show", "--property=NTPSynchronized", "--value"),

@@ -31,7 +31,7 @@ from companion.types.errors import CompanionError
 COMPLETE, INCOMPLETE = 0, 1  # exit codes
 SILENT_AFTER_S = 5.0  # without a HEARTBEAT
 LOOK_AGAIN_S, SETTLED_WITHIN_S = 1.0, 20.0  # for a log that is still written to
-PLAIN_STEP_PERCENT = 10  # of progress, where it is not shown on a terminal
+PLAIN_STEP_PERCENT = 10  # without a terminal, progress is printed at each such step
 ARMED = "it is armed: land and disarm it first"
 ALL, LAST = "all", "last"  # in place of an id
 

@@ -32,8 +32,8 @@ class CommandName(StrEnum):
 
 
 MAX_EPOCH = 2**31 - 1
-NUMBERS_AHEAD = 1000  # of the own number, also the own epoch: one wrong number cannot use up all numbers
-EPOCHS_AHEAD = 8  # of the own epoch, of a leader that peers report: changes of leader that may be missed at once
+NUMBERS_AHEAD = 1000  # numbers and epochs further ahead of the own one are refused: a wrong one cannot use up all
+EPOCHS_AHEAD = 8  # so many changes of leader may be missed at once: a peer's epoch is at most this far ahead
 
 
 class Lead(Struct, frozen=True, gc=False, tag=True):
@@ -81,8 +81,8 @@ class Command(Struct, frozen=True, gc=False):
     name: CommandName
     number: Annotated[int, Meta(ge=1, le=MAX_NUMBER)]  # larger than that of the last command; repeated in the reply
     operator: Operator  # sender of the command, the same in all programs of one operator
-    session: Number  # of the vehicle's agent, from its status
-    content: Content | None = None  # of the type that CONTENT has for this name
+    session: Number  # session of the agent that is commanded, as its status reports it
+    content: Content | None = None  # its type is the one that CONTENT has for this command name
 
 
 def next_number(last: int, reported: int) -> int:

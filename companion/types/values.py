@@ -24,7 +24,7 @@ MAX_COORDINATE_M = 20_000.0
 MAX_MISSION_S = 1e6  # eleven days
 MIN_CHANGE_S, MAX_CHANGE_S = 0.1, 600.0  # duration of a formation change
 MAX_VEHICLES = 250  # MAVLink system ids
-MAX_NUMBER = 2**62  # of commands, changes and packets
+MAX_NUMBER = 2**62  # largest number of a command, change or packet
 FLEET_NAME = "^[a-z0-9][a-z0-9_-]{0,40}$"  # it is a part of Zenoh's key expressions
 CONTROL = r"\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069"  # control characters, and those that reverse the text
 

@@ -22,8 +22,8 @@ VELOCITY = 3  # 1 mm/s
 ACCELERATION = 2  # 1 cm/s^2; the noise of a good velocity alone makes that much
 TIME = 4  # 0.1 ms
 ANGLE = 6  # 1 urad, 1 urad/s
-SHARE = 6  # of thrust
-SETPOINT = 6  # 1 urad, and 1e-6 of thrust
+SHARE = 6  # a millionth of full thrust
+SETPOINT = 6  # 1 urad, and a millionth of full thrust
 
 
 def round_outbox(outbox: Outbox) -> Outbox:

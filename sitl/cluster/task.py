@@ -92,7 +92,7 @@ class UnfitError(UnusableError):
 
 
 class CancelledTaskError(CompanionError):
-    """The client no longer wants the result of this task. Nobody sees this error."""
+    """The client no longer wants the result of this task. No program sees this error."""
 
 
 class ClusterRun(Struct, frozen=True):

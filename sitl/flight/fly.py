@@ -193,7 +193,7 @@ def _wait_and_land(
 
 
 def left_armed(folder: Path, lost: Iterable[int]) -> list[str]:
-    """A line for each vehicle without an agent or stand-in that was armed to the end: nobody could land it."""
+    """A line for each vehicle without an agent or stand-in that was armed to the end: no command could land it."""
     heights_m = {i: armed_at_m(truth_path(folder, i)) for i in sorted(lost)}
     return [
         f"vehicle {i} was left armed at {height_m:.1f} m: its agent or stand-in had ended"

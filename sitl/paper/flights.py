@@ -186,7 +186,7 @@ Topology = dict[int, TopologyChange]  # the last report by vehicle id
 
 @dataclass(frozen=True, slots=True)
 class LeadershipSpan:
-    """UAV `leader_id` was leader from `from_s` to `to_s` of the flight's clock. `settled_s`: time of the last PrC change."""
+    """Vehicle `leader_id` was leader from `from_s` to `to_s` of the flight's clock. `settled_s`: last PrC change."""
 
     leader_id: int
     from_s: float

@@ -193,7 +193,7 @@ def matrix_claims() -> list[Claim]:
 
 
 def eq_27() -> Claim:
-    """G1 and G2 of the aggregation at its start, with leader UAV 1."""
+    """G1 and G2 of the aggregation at its start, with leader 1."""
     graph = aggregation_graph()
     parts = [("G1", EQ_27_G1, {1}, average_26()), ("G2", EQ_27_G2, {1}, weighted())]
     is_eq_26 = _difference(interaction_matrix(graph, {1}, average_26()), EQ_27_G1) <= EXACT

@@ -142,7 +142,7 @@ def experiment_claims(book: Book) -> list[Claim]:
 
 
 def behind_first_s(entry: FlownPlan) -> list[float]:
-    """Delay of the other vehicles behind UAV 1 at half of their distance."""
+    """Delay of the other vehicles behind vehicle 1 at half of their distance."""
     leader_s, *others_s = (response_s(entry.flight, i) for i in sorted(entry.flight.tracks))
     return [other_s - leader_s if leader_s < inf else inf for other_s in others_s]
 

@@ -40,7 +40,7 @@ DATAGRAMS_PER_VEHICLE = 8  # read in one tick
 # a tick more of them are read than arrive at 20,000 a second, and none waits before those of the fleet.
 READ_WITH_SEAL = 512
 BUFFER_BYTES = 1 << 20
-LONGEST_BYTES, BYTES_PER_VEHICLE = 600, 40  # of a peer packet; the second in a change of the formation
+LONGEST_BYTES, BYTES_PER_VEHICLE = 600, 40  # largest peer packet: a fixed part, and slots in a formation change
 SAME_NETWORK = 1  # time to live of multicast: no router passes it on
 
 Address = tuple[str, int]
@@ -137,7 +137,7 @@ def _open_socket(address: Address, group: str | None) -> socket.socket:
         if group:  # vehicles on one machine share its port
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             opened.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, SAME_NETWORK)
-            own = socket.inet_aton(address[0])  # of the network interface; 0.0.0.0 leaves the choice to the routes
+            own = socket.inet_aton(address[0])  # address of the network interface; 0.0.0.0: chosen by the routes
             opened.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + own)
             opened.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, own)
         opened.bind((group or address[0], address[1]))  # to the group: nothing else that comes to this port

@@ -1,7 +1,7 @@
 """Peer packets over Zenoh. Every vehicle publishes at 50 Hz, and in a large fleet every tenth packet under a second key.
 
-Zenoh transmits only what somebody subscribes to. So a receiver chooses the rate of each peer by its subscription, and nobody
-else needs to know.
+Zenoh transmits only what a program subscribes to. So a receiver chooses the rate of each peer by its subscription, and no
+other program needs to know.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PACKETS_PER_VEHICLE = 8  # used at most of each tick, the newest
 # large fleet fewer wait for each vehicle.
 SAMPLES_KEPT, LEAST_PER_VEHICLE, MOST_PER_VEHICLE = 1024, 2 * PACKETS_PER_VEHICLE, 128
 TAKEN_EARLY = 2  # messages of each vehicle before a tick; the rest of a flood waits for the tick
-CHANGES_PER_TICK = 8  # of subscriptions: one takes 0.1 ms
+CHANGES_PER_TICK = 8  # at most this many subscriptions change in a tick; one takes 0.1 ms
 
 
 def samples_to_keep(vehicles: int) -> int:

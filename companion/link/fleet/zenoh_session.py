@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 # the stalls of TCP on a lossy radio (about a second) would only add reconnections to the loss.
 LEASE_MS = 2000
 HANDSHAKE_MS = 2000
-# Of each buffer of a connection; a longer message is sent in parts. The default of 64 kB takes 0.3 MB more for every peer. Two
+# Size of a connection's buffers; a longer message is sent in parts. The default of 64 kB takes 0.3 MB more for every peer. Two
 # of these hold the packets of 2 s. A stall of less does not fill them, and a longer one ends the connection anyway (LEASE_MS).
 BATCH_BYTES = 16384
 # Threads of Zenoh in this process. By default every message wakes the thread that opened its connection, which wakes one of

@@ -22,7 +22,7 @@ from companion.types.autopilot import (
 NAME = "PX4"
 LOGS = LogHabits(".ulg", silent_without_logs=True)  # in order of its folders
 MAV_AUTOPILOT = mavlink.MAV_AUTOPILOT_PX4
-MAV_TYPES: frozenset[int] = frozenset()  # of any
+MAV_TYPES: frozenset[int] = frozenset()  # every vehicle type is accepted
 
 # custom_mode holds the main mode in its third byte and the sub mode in its fourth.
 MAIN_MODES = {
