@@ -46,11 +46,6 @@ Contradiction = list[tuple[Constraint, float]]
 NO_CONTRADICTION: Contradiction = []
 
 
-def to_constraint(normal_enu: Vector3, least_m_s2: float, rank: Rank = Rank.VEHICLE) -> Constraint:
-    """A constraint from its normal, of length 1."""
-    return (*normal_enu, least_m_s2, rank)
-
-
 class AccelerationLimits(Struct, frozen=True, gc=False):
     """What tilt and thrust allow: a cut cone about the acceleration by the wind.
 

@@ -23,7 +23,7 @@ from companion.geometry.vectors import minus, plus, scaled
 from companion.types.flight import HELD, ON_GROUND, STREAMING, FlightPhase
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
-from companion.types.steps import Steps, coarser, whole
+from companion.types.steps import Steps, coarser
 from companion.types.values import Vector3
 
 Slots = Mapping[int, Vector3]
@@ -70,16 +70,10 @@ class FormationLimits:
                 return Notice(Code.SLOT_OUTSIDE_FENCE, text)
         return None
 
-    def refusal_of_airspace(
-        self, before_enu_m: Slots, after_enu_m: Slots, on_the_way_enu_m: Iterable[Vector3], rft_enu_m: Iterable[Vector3]
-    ) -> Notice | None:
-        """Polygon and obstacles: straight paths between the slots about some positions of the RFT, and the slots about all."""
-        return whole(self.airspace_steps(before_enu_m, after_enu_m, on_the_way_enu_m, rft_enu_m))
-
     def airspace_steps(
         self, before_enu_m: Slots, after_enu_m: Slots, on_the_way_enu_m: Iterable[Vector3], rft_enu_m: Iterable[Vector3]
     ) -> Steps[Notice | None]:
-        """`refusal_of_airspace` in steps."""
+        """Polygon and obstacles: straight paths between the slots about some positions of the RFT, and the slots about all."""
         if self.airspace is None:
             return None
         at_once = self.airspace.positions_per_step()

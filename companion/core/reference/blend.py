@@ -17,7 +17,7 @@ from companion.geometry.airspace import Airspace, room_for
 from companion.geometry.curves import Curve, decay_to_rest, duration_s
 from companion.geometry.formations import swept
 from companion.geometry.vectors import minus, plus
-from companion.types.steps import Steps, coarser, whole
+from companion.types.steps import Steps, coarser
 from companion.types.values import ZERO3, Vector3
 
 SHORTEST_S = 1.0
@@ -71,20 +71,6 @@ def reference_box(fence: Box, slots_enu_m: Iterable[Vector3]) -> Box:
     return (x - min(xs), y - min(ys), z - min(zs)), (far_x - max(xs), far_y - max(ys), far_z - max(zs))
 
 
-def blended(
-    old: FormationState,
-    new: ReferenceTrajectory,
-    begins_s: float,
-    limits: BlendLimits,
-    slots_enu_m: Sequence[Vector3],
-) -> tuple[ReferenceTrajectory, float] | None:
-    """(RFT from `begins_s` on, duration of the blend): the shortest blend within all limits, or None.
-
-    `old` is R and r'' at `begins_s`; the time of `new` starts there.
-    """
-    return whole(blending(old, new, begins_s, limits, slots_enu_m))
-
-
 def blending(
     old: FormationState,
     new: ReferenceTrajectory,
@@ -92,7 +78,10 @@ def blending(
     limits: BlendLimits,
     slots_enu_m: Sequence[Vector3],
 ) -> Steps[tuple[ReferenceTrajectory, float] | None]:
-    """`blended` in steps."""
+    """(RFT from `begins_s` on, duration of the blend): the shortest blend within all limits, or None. In steps.
+
+    `old` is R and r'' at `begins_s`; the time of `new` starts there.
+    """
     samples = SAMPLES_PER_STEP
     if limits.airspace is not None:
         samples = min(samples, limits.airspace.positions_per_step(1 + len(slots_enu_m)))

@@ -6,7 +6,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.core.filter.solver import AccelerationLimits, Constraint, Rank, filter_acceleration, to_constraint
+from companion.core.filter.solver import AccelerationLimits, Constraint, Rank, filter_acceleration
 from companion.types.values import Vector3
 
 LIMITS = AccelerationLimits.of_envelope(tan(radians(25.0)), 0.3, 1.6)
@@ -17,6 +17,10 @@ EAST, WEST, NORTH = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 def unit(azimuth_rad: float, up: float) -> Vector3:
     level = (1.0 - up * up) ** 0.5
     return (level * cos(azimuth_rad), level * sin(azimuth_rad), up)
+
+
+def to_constraint(normal_enu: Vector3, least_m_s2: float, rank: Rank = Rank.VEHICLE) -> Constraint:
+    return (*normal_enu, least_m_s2, rank)
 
 
 def direction(x: float, y: float, z: float) -> Vector3:

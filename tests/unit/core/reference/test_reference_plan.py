@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from common import ROOT, code_of, codes_of, outcome
 from companion.core.consensus.law import FormationState
-from companion.core.reference.blend import BlendLimits, along, blended, point, reference_box
+from companion.core.reference.blend import BlendLimits, along, blending, point, reference_box
 from companion.core.reference.plan import ReferencePlan
 from companion.core.reference.target import Box
 from companion.geometry.curves import Curve, centred_at, circle, decay_to_rest, figure_8
@@ -22,6 +22,7 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, HeldReference
 from companion.types.notices import Answer, Code, Notice, accept, refuse
 from companion.types.peers import LeaderReport, Motion, PeerPacket, ReceivedTarget, Sender, TargetSample
+from companion.types.steps import whole
 from companion.types.values import ZERO3, Vector3
 from lockstep_fleet import agent_of
 from sitl.flight.scenario import load_scenario
@@ -64,29 +65,31 @@ def test_decay_to_rest_begins_as_given_ends_at_zero_and_is_smooth(
 @given(st.sampled_from([EIGHT, CIRCLE]), st.sampled_from([EIGHT, CIRCLE]), st.floats(0.0, 100.0))
 def test_a_hand_over_begins_at_the_old_state_and_keeps_its_limits(old: Curve, new: Curve, begins_s: float) -> None:
     before, after = along(old)(begins_s), along(new)
-    found = blended(before, after, begins_s, LIMITS, [ZERO3])
+    found = whole(blending(before, after, begins_s, LIMITS, [ZERO3]))
     assert found is not None
-    whole, lasts_s = found
-    first = whole(begins_s)
+    handed, lasts_s = found
+    first = handed(begins_s)
     assert first.position_enu_m == pytest.approx(before.position_enu_m)
     assert first.velocity_enu_m_s == pytest.approx(before.velocity_enu_m_s)
     assert first.acceleration_enu_m_s2 == pytest.approx(before.acceleration_enu_m_s2)
     later = after(lasts_s + 3.0)
-    assert whole(begins_s + lasts_s + 3.0).position_enu_m == pytest.approx(later.position_enu_m)
-    assert whole(begins_s + lasts_s + 3.0).velocity_enu_m_s == pytest.approx(later.velocity_enu_m_s)
+    assert handed(begins_s + lasts_s + 3.0).position_enu_m == pytest.approx(later.position_enu_m)
+    assert handed(begins_s + lasts_s + 3.0).velocity_enu_m_s == pytest.approx(later.velocity_enu_m_s)
     had_m_s, had_m_s2 = hypot(*before.velocity_enu_m_s), hypot(*before.acceleration_enu_m_s2)
     for t in np.linspace(0.0, lasts_s, 500).tolist():
-        with_it, without = whole(begins_s + t), after(t)
+        with_it, without = handed(begins_s + t), after(t)
         assert dist(with_it.velocity_enu_m_s, without.velocity_enu_m_s) <= (2.0 + had_m_s) * 1.01
         assert dist(with_it.acceleration_enu_m_s2, without.acceleration_enu_m_s2) <= (1.0 + had_m_s2) * 1.01
 
 
 def test_a_hand_over_is_as_fast_as_its_limits_allow() -> None:
     for distance_m in (2.0, 30.0):
-        found = blended(FormationState((distance_m, 0.0, 5.0), ZERO3), point((0.0, 0.0, 5.0)), 0.0, LIMITS, [ZERO3])
+        found = whole(
+            blending(FormationState((distance_m, 0.0, 5.0), ZERO3), point((0.0, 0.0, 5.0)), 0.0, LIMITS, [ZERO3])
+        )
         assert found is not None
-        whole, lasts_s = found
-        states = [whole(t) for t in np.linspace(0.0, lasts_s, 1000).tolist()]
+        handed, lasts_s = found
+        states = [handed(t) for t in np.linspace(0.0, lasts_s, 1000).tolist()]
         fastest = max(hypot(*state.velocity_enu_m_s) for state in states) / 2.0
         hardest = max(hypot(*state.acceleration_enu_m_s2) for state in states)
         assert max(fastest, hardest) == pytest.approx(1.0, abs=0.01)
@@ -94,8 +97,8 @@ def test_a_hand_over_is_as_fast_as_its_limits_allow() -> None:
 
 def test_no_hand_over_is_found_when_the_fence_would_be_left() -> None:
     flying_out = FormationState((59.0, 0.0, 5.0), (4.0, 0.0, 0.0))
-    assert blended(flying_out, point((59.5, 0.0, 5.0)), 0.0, LIMITS, [ZERO3]) is None
-    assert blended(flying_out, point((0.0, 0.0, 5.0)), 0.0, WIDE_LIMITS, [ZERO3]) is not None
+    assert whole(blending(flying_out, point((59.5, 0.0, 5.0)), 0.0, LIMITS, [ZERO3])) is None
+    assert whole(blending(flying_out, point((0.0, 0.0, 5.0)), 0.0, WIDE_LIMITS, [ZERO3])) is not None
 
 
 def test_the_box_of_a_formation_is_the_fence_less_its_slots() -> None:
