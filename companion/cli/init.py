@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
 import msgspec
 
-from companion.cli.program import CliCommand
+from companion.cli.program import CliCommand, command
 from companion.config.fleet import LawName
 from companion.config.new_formation import NewFormation, ReferenceKind
 from companion.config.planned_flight import TOPOLOGY_WORDS, ShapeName, Topology
@@ -16,6 +17,11 @@ from companion.types.autopilot import AutopilotKind
 from companion.types.errors import EXIT_DONE
 
 TOPOLOGIES = "topologies:\n" + "\n".join(f"  {name:<8} {words}" for name, words in TOPOLOGY_WORDS.items())
+
+
+def with_topologies(made: CliCommand) -> CliCommand:
+    """The command, whose help lists the topologies where the docstring has a line TOPOLOGIES."""
+    return replace(made, more=made.more.replace("TOPOLOGIES\n", f"{TOPOLOGIES}\n"))
 
 
 def add_formation(parser: argparse.ArgumentParser) -> None:
@@ -96,6 +102,28 @@ def _add_init(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_init(options: argparse.Namespace) -> int:
+    """Write the files of N real vehicles into DIR: fleet.yaml, which all of them share, and vehicle-1.yaml
+    to vehicle-N.yaml with the endpoint of the autopilot, the hover thrust, and the reference for the
+    vehicles that may lead. All files are commented and agree with each other.
+    Existing files are not overwritten.
+
+    examples:
+      companion init field --vehicles 2 --origin 47.3977 8.5456 488
+      companion init field --vehicles 3 --shape v --may-lead 2 --origin indoor \\
+          --address 10.0.0.5 10.0.0.7 10.0.0.9
+      companion init bench --vehicles 4 --origin 47.3977 8.5456 488 --address 127.0.0.1:{id+7447} \\
+          --mavlink udpin:127.0.0.1:{id+14539}
+
+    --address and --mavlink take one value for each vehicle, or one pattern for all: {id} is the vehicle
+    id, {id+10} is ten more.
+
+    TOPOLOGIES
+
+    exit codes:
+      0  written; the last lines are the commands to go on with
+      2  an argument cannot be used, or a file exists
+    """
+
     from companion.assembly import flyable_problems
     from companion.config.new_fleet import NewFleet, new_fleet, origin_of
     from companion.mavlink.autopilot_types import PROFILES
@@ -114,32 +142,6 @@ def _run_init(options: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-INIT = CliCommand(
-    name="init",
-    summary="writes the fleet file and the vehicle files of real vehicles",
-    description="""\
-Write the files of N real vehicles into DIR: fleet.yaml, which all of them share, and vehicle-1.yaml
-to vehicle-N.yaml with the endpoint of the autopilot, the hover thrust, and the reference for the
-vehicles that may lead. All files are commented and agree with each other.
-Existing files are not overwritten.
-""",
-    more=f"""\
-examples:
-  companion init field --vehicles 2 --origin 47.3977 8.5456 488
-  companion init field --vehicles 3 --shape v --may-lead 2 --origin indoor \\
-      --address 10.0.0.5 10.0.0.7 10.0.0.9
-  companion init bench --vehicles 4 --origin 47.3977 8.5456 488 --address 127.0.0.1:{{id+7447}} \\
-      --mavlink udpin:127.0.0.1:{{id+14539}}
-
---address and --mavlink take one value for each vehicle, or one pattern for all: {{id}} is the vehicle
-id, {{id+10}} is ten more.
-
-{TOPOLOGIES}
-
-exit codes:
-  0  written; the last lines are the commands to go on with
-  2  an argument cannot be used, or a file exists
-""",
-    add_arguments=_add_init,
-    run=_run_init,
+INIT = with_topologies(
+    command("init", "writes the fleet file and the vehicle files of real vehicles", _add_init, _run_init)
 )

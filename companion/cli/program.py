@@ -59,10 +59,13 @@ def command(
     add_arguments: Callable[[argparse.ArgumentParser], None],
     run: Callable[[argparse.Namespace], int],
     needs: tuple[str, ...] = (),
+    after: str = "examples:",
 ) -> CliCommand:
-    """The command that `run` carries out, whose docstring is the help: from "examples:" on it follows the arguments."""
-    description, _, more = cleandoc(run.__doc__ or "").partition("\n\nexamples:\n")
-    return CliCommand(name, summary, f"{description}\n", f"examples:\n{more}\n", add_arguments, run, needs)
+    """The command that `run` carries out, whose docstring is the help: from the paragraph on that begins with the text
+    `after` it follows the arguments. `needs` as in CliCommand.
+    """
+    description, begun, more = cleandoc(run.__doc__ or "").partition(f"\n\n{after}")
+    return CliCommand(name, summary, f"{description}\n", f"{begun.lstrip()}{more}\n", add_arguments, run, needs)
 
 
 def exit_code_of(command: str, run: Callable[[], int]) -> int:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from companion.cli.init import TOPOLOGIES, add_formation, formation_of
+from companion.cli.init import add_formation, formation_of, with_topologies
 from companion.cli.options import number, whole_number
-from companion.cli.program import CliCommand
+from companion.cli.program import command
 from companion.config.file import ConfigError
 from companion.types.autopilot import AutopilotKind
 from sitl.cli.options import ABOVE_0, BELOW_INFINITY
@@ -43,6 +43,23 @@ def _add_autopilot(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_autopilot(options: argparse.Namespace) -> int:
+    """Stand-in quadrotors that behave like PX4 or ArduCopter, behind sockets of this machine; one per FILE.
+
+    With id N (instance i = N - 1, K the port offset) it listens for a companion on UDP 14580+i+K and sends to 14540+i+K; for a
+    ground station it listens on 18570+i+K and sends to 14550. As ArduCopter it also listens on TCP 5760+10i+K, for one client
+    at a time. It can be armed about 4 s after its start, as ArduCopter after 42 s, as measured with the real ones;
+    stand_in.armable_after_s in the file changes that.
+
+    examples:
+      sitl autopilot                                        vehicle 1 with the default airframe and sensor noise
+      sitl autopilot --autopilot ardupilot                  the same as ArduCopter
+      sitl autopilot --id 3 --truth truth.csv               vehicle 3; its true states are written at 50 Hz
+      sitl autopilot --config autopilot.yaml --seconds 60   as configured, for a minute
+      sitl autopilot --config a.yaml b.yaml c.yaml          three vehicles in one process, which costs far less than three
+
+    exit codes: 0 ended as asked, 2 bad file or port in use
+    """
+
     from sitl.autopilots.types import load_autopilot_files
     from sitl.links.ports import ports_of
     from sitl.links.realtime import ServedStandIn, run_autopilots
@@ -63,55 +80,35 @@ def _add_new(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_new(options: argparse.Namespace) -> int:
+    """Write a commented scenario file NAME.yaml that flies as it is: vehicles with their slots, neighbours,
+    law, reference, fence and timeline. The pace of the reference and the fence fit the formation. An
+    existing file is not overwritten.
+
+    examples:
+      sitl new v_on_circle --vehicles 5 --shape v --spacing 3 --reference circle
+      sitl new eight --vehicles 6 --shape column --topology double --reference figure_8 --heading course
+      sitl new gather --vehicles 4 --shape circle --topology range --folder scenarios
+
+    TOPOLOGIES
+
+    exit codes:
+      0  written; the last lines are the commands to go on with
+      2  an argument cannot be used, or the file exists
+    """
+
     from sitl.flight.new_scenario import new_scenario
 
     print(new_scenario(formation_of(options), options.folder), end="")
     return 0
 
 
-AUTOPILOT = CliCommand(
-    name="autopilot",
-    summary="stand-in quadrotors that behave like PX4 or ArduCopter, behind UDP and TCP",
-    description="Stand-in quadrotors that behave like PX4 or ArduCopter, behind sockets of this machine; one per FILE.",
-    more="""\
-With id N (instance i = N - 1, K the port offset) it listens for a companion on UDP 14580+i+K and sends to 14540+i+K; for a
-ground station it listens on 18570+i+K and sends to 14550. As ArduCopter it also listens on TCP 5760+10i+K, for one client
-at a time. It can be armed about 4 s after its start, as ArduCopter after 42 s, as measured with the real ones;
-stand_in.armable_after_s in the file changes that.
-
-examples:
-  sitl autopilot                                        vehicle 1 with the default airframe and sensor noise
-  sitl autopilot --autopilot ardupilot                  the same as ArduCopter
-  sitl autopilot --id 3 --truth truth.csv               vehicle 3; its true states are written at 50 Hz
-  sitl autopilot --config autopilot.yaml --seconds 60   as configured, for a minute
-  sitl autopilot --config a.yaml b.yaml c.yaml          three vehicles in one process, which costs far less than three
-
-exit codes: 0 ended as asked, 2 bad file or port in use""",
-    add_arguments=_add_autopilot,
-    run=_run_autopilot,
+AUTOPILOT = command(
+    "autopilot",
+    "stand-in quadrotors that behave like PX4 or ArduCopter, behind UDP and TCP",
+    _add_autopilot,
+    _run_autopilot,
+    after="With id N",
 )
 
 
-NEW = CliCommand(
-    name="new",
-    summary="writes a commented scenario file from a few choices",
-    description="""\
-Write a commented scenario file NAME.yaml that flies as it is: vehicles with their slots, neighbours,
-law, reference, fence and timeline. The pace of the reference and the fence fit the formation. An
-existing file is not overwritten.
-""",
-    more=f"""\
-examples:
-  sitl new v_on_circle --vehicles 5 --shape v --spacing 3 --reference circle
-  sitl new eight --vehicles 6 --shape column --topology double --reference figure_8 --heading course
-  sitl new gather --vehicles 4 --shape circle --topology range --folder scenarios
-
-{TOPOLOGIES}
-
-exit codes:
-  0  written; the last lines are the commands to go on with
-  2  an argument cannot be used, or the file exists
-""",
-    add_arguments=_add_new,
-    run=_run_new,
-)
+NEW = with_topologies(command("new", "writes a commented scenario file from a few choices", _add_new, _run_new))
