@@ -444,7 +444,7 @@ def test_traffic_reaches_every_vehicle_and_malformed_samples_are_counted(port: i
         until(lambda: len(known(1)) == len(known(2)) == 2 and leader.rejected, each=publish)
     for newest in (known(1), known(2)):
         assert newest["4b1805"] == TrafficSample((5.0, 6.0, 7.0), (1.0, 0.0, 0.0), 0.5, 2.0)
-        assert newest["4b1806"].motion.position_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+        assert newest["4b1806"].position_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
     assert set(leader.rejected) == {Code.TRAFFIC_MALFORMED}
 
 
