@@ -104,7 +104,7 @@ def test_flights_of_the_paper_and_the_study_are_the_same(two: Cluster) -> None:
     with workers_of(two.address) as workers:
         (flight_there,) = all_results(workers, fly_plan, plans, no_progress)
         (pairs_there,) = all_results(workers, fly_batch_of_pairs, batches, no_progress)
-    tracks, tracks_there = flight.flight().tracks, flight_there.flight().tracks
+    tracks, tracks_there = flight.flight.tracks, flight_there.flight.tracks
     assert all(np.array_equal(tracks[i].position_enu_m, tracks_there[i].position_enu_m) for i in tracks)
     assert pairs[0].pair == pairs_there[0].pair
     assert np.array_equal(pairs[0].step_worst_m, pairs_there[0].step_worst_m)
