@@ -33,13 +33,13 @@ fly: .venv/fly.ready
 
 setup: .venv/fly.ready
 
-# Real processes need a quiet machine: their tests come first and alone. They mostly wait, so five workers fly them: two the
+# Real processes need a quiet machine: their tests come first and alone. They mostly wait, so four workers fly them: two the
 # folders with fleets, one flight of each at a time, the others one or two vehicles, file by file. A real-time test that failed
 # while its processes were starved runs once more after the others; one that fails again while the hypervisor takes the
 # processors is NOT JUDGED. Tests in virtual time do not depend on the load of the machine. Tests of one file
 # share flights: each file has one worker, and the long ones come first, so that both workers end together.
 VIRTUAL_TESTS = $(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations 25 -m "not long" tests/lockstep tests/unit
-REAL_TIME_TESTS = $(BIN)/pytest -v -n 5 --dist loadscope --no-loadscope-reorder --durations 60 -m "$(KINDS)"
+REAL_TIME_TESTS = $(BIN)/pytest -v -n 4 --dist loadscope --no-loadscope-reorder --durations 60 -m "$(KINDS)"
 KINDS = not long
 
 test: .venv/test.ready
@@ -62,8 +62,10 @@ test-page: .venv/test.ready
 test-again: .venv/test.ready
 	$(BIN)/pytest -v --last-failed --last-failed-no-failures none tests
 
-# Flights of real processes whose like is flown in virtual time, every command of the field guide, and the laboratory's tests.
+# Random inputs ten times as many. Flights of real processes whose like is flown in virtual time, statistics of many flights,
+# every command of the field guide, and the laboratory's tests.
 test-long: .venv/test.ready
+	$(BIN)/pytest -q -n 2 --hypothesis-profile thorough -m hypothesis tests/unit
 	$(BIN)/pytest -v --durations 10 -m long tests
 
 # Of a follower in steady formation; tests/unit/test_budgets.py holds the budgets of tests/unit/budgets.json.

@@ -16,9 +16,10 @@ REAL_TIME = {"protocol", "fleet", "faults", "page"}  # folders beside this file
 # Read when numpy is first loaded. Tests work on small matrices, for which more threads only get into each other's way.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-# On a machine with other load the time of one example shows nothing.
-settings.register_profile("no deadline", deadline=None)
-settings.load_profile("no deadline")
+# The same examples in every run. On a machine with other load the time of one example shows nothing.
+settings.register_profile("quick", deadline=None, derandomize=True, max_examples=30)
+settings.register_profile("thorough", deadline=None, derandomize=True, max_examples=300)  # make test-long
+settings.load_profile("quick")
 
 # A shell that starts the tests in the background has them ignore SIGINT, and every program they start would ignore it, too.
 signal.signal(signal.SIGINT, signal.default_int_handler)

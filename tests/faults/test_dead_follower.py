@@ -20,6 +20,7 @@ ALL = (1, 2, 3, 4, 5)
 AWAY = {"kind": "waypoints", "points_enu_m": [[0.0, 0.0, 2.0], [8.0, 0.0, 2.0]], "max_speed_m_s": 3.0}
 
 
+@pytest.mark.long
 def test_the_gap_of_a_dead_follower_stays_open_also_after_the_fleet_moved(tmp_path: Path) -> None:
     with fleet_in_formation(load_scenario(LEAVING, OVERRIDES), tmp_path) as fleet:
         ground = fleet.ground

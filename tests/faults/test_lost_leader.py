@@ -22,6 +22,7 @@ FOLLOWERS = (2, 3, 4)
 ALL = (1, *FOLLOWERS)
 
 
+@pytest.mark.long
 def test_followers_hold_when_the_leader_dies(tmp_path: Path) -> None:
     scenario = load_scenario(SCENARIOS / "platoon.yaml", [READY_SOON])
     with fleet_in_formation(scenario, tmp_path) as fleet:

@@ -2,9 +2,8 @@
 
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -37,23 +36,18 @@ def flown(folder: Path, *more: str) -> RunSummary:
     return read_summary(folder / "summary.json")
 
 
-class Compared:
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.done = fly(
-            PLATOON, folder, "--compare", "average_22", "--quiet", "--set", f"{FORM}={COMPARED_S}", timeout_s=580.0
-        )
-        self.weighted, self.average = (read_summary(folder / law / "summary.json") for law in LAWS)
+class Flown(NamedTuple):
+    """A flight of the weighted law: its folder and its summary."""
 
-    @property
-    def both(self) -> Sequence[RunSummary]:
-        return (self.weighted, self.average)
+    folder: Path
+    summary: RunSummary
 
 
 @pytest.fixture(scope="module")
-def compared(tmp_path_factory: pytest.TempPathFactory) -> Compared:
-    """Two laws over COMPARED_S of formation, one flight each for all tests of this file. Lockstep flies the third law."""
-    return Compared(tmp_path_factory.mktemp("compared"))
+def weighted(tmp_path_factory: pytest.TempPathFactory) -> Flown:
+    """The weighted law over COMPARED_S of formation, one flight for the tests of this file."""
+    folder = tmp_path_factory.mktemp("weighted")
+    return Flown(folder, flown(folder, "--law", "weighted", "--quiet", "--set", f"{FORM}={COMPARED_S}"))
 
 
 @pytest.fixture(scope="module")
@@ -68,77 +62,54 @@ def largest(summary: RunSummary, pair: str = "1-2") -> float:
     return summary.max_distance_m[pair]
 
 
-def test_the_weighted_law_keeps_leader_and_first_follower_closer(compared: Compared) -> None:
-    assert largest(compared.weighted) <= 1.90
-    assert largest(compared.weighted) < largest(compared.average)
+def test_the_platoon_settles_and_ends_in_its_slots(weighted: Flown) -> None:
+    summary = weighted.summary
+    assert largest(summary) <= 1.90
+    assert summary.settle_s is not None
+    assert summary.final_error_m is not None
+    assert summary.final_error_m <= 0.05
+    assert summary.final_distance_m is not None
+    assert [summary.final_distance_m[pair] for pair in summary.pairs] == pytest.approx([1.5, 1.5, 1.5], abs=0.05)
 
 
-def test_the_weighted_law_settles_sooner(compared: Compared) -> None:
-    settle_s = compared.weighted.settle_s
-    assert settle_s is not None
-    assert compared.average.settle_s is None or settle_s < compared.average.settle_s
-
-
-def test_the_platoon_ends_in_its_slots(compared: Compared) -> None:
-    assert compared.weighted.final_error_m is not None
-    assert compared.weighted.final_error_m <= 0.05
-    assert compared.weighted.final_distance_m is not None
-    assert [compared.weighted.final_distance_m[pair] for pair in compared.weighted.pairs] == pytest.approx(
-        [1.5, 1.5, 1.5], abs=0.05
-    )
-
-
-def test_every_agent_keeps_50_hz(compared: Compared) -> None:
-    for summary in compared.both:
-        assert summary.duration_s == pytest.approx(COMPARED_S, abs=0.2)
-        for vehicle in summary.vehicles:
-            assert vehicle.tick is not None
-            assert vehicle.tick.rate_hz == pytest.approx(50.0, abs=0.5)
-            assert vehicle.tick.ticks == pytest.approx(50 * COMPARED_S, abs=COMPARED_S)
-            assert vehicle.telemetry_to_command_us is not None
-            assert 0 < vehicle.telemetry_to_command_us.p50 < 20_000
-    rejected = {key.split()[0] for summary in compared.both for vehicle in summary.vehicles for key in vehicle.rejected}
+def test_every_agent_keeps_50_hz(weighted: Flown) -> None:
+    assert weighted.summary.duration_s == pytest.approx(COMPARED_S, abs=0.2)
+    for vehicle in weighted.summary.vehicles:
+        assert vehicle.tick is not None
+        assert vehicle.tick.rate_hz == pytest.approx(50.0, abs=0.5)
+        assert vehicle.tick.ticks == pytest.approx(50 * COMPARED_S, abs=COMPARED_S)
+        assert vehicle.telemetry_to_command_us is not None
+        assert 0 < vehicle.telemetry_to_command_us.p50 < 20_000
+    rejected = {key.split()[0] for vehicle in weighted.summary.vehicles for key in vehicle.rejected}
     assert rejected <= {Code.PEER_LATE}  # by other load of the machine
 
 
-def test_every_agent_is_small_enough_for_its_board(compared: Compared) -> None:
-    for vehicle in compared.weighted.vehicles:
+def test_every_agent_is_small_enough_for_its_board(weighted: Flown) -> None:
+    for vehicle in weighted.summary.vehicles:
         assert vehicle.rss_mb is not None
         assert vehicle.rss_mb < 60
         assert vehicle.cpu_percent is not None
         assert vehicle.cpu_percent < 20  # 13 to 14 were measured beside other load
 
 
-def test_no_flight_fails_and_all_vehicles_land(compared: Compared) -> None:
-    for summary in compared.both:
-        assert summary.failure is None
-        landed = [event.vehicle for event in summary.events if event.event == "land -> observe"]
-        assert sorted(landed) == [1, 2, 3, 4]
+def test_no_flight_fails_and_all_vehicles_land(weighted: Flown) -> None:
+    assert weighted.summary.failure is None
+    landed = [event.vehicle for event in weighted.summary.events if event.event == "land -> observe"]
+    assert sorted(landed) == [1, 2, 3, 4]
 
 
-def test_each_flight_writes_its_folder(compared: Compared) -> None:
-    for law in LAWS:
-        folder = compared.folder / law
-        for figure in ("figure_5.png", "figure_6.png"):
-            assert (folder / figure).read_bytes().startswith(PNG)
-        assert load_scenario(folder / "scenario.yaml").fleet.law.name == law
-        for vehicle_id in (1, 2, 3, 4):
-            assert "engage -> formation" in (folder / f"agent_{vehicle_id}.log").read_text(encoding="utf-8")
-            assert (folder / f"truth_{vehicle_id}.csv").stat().st_size > 100_000
-        assert "vehicle 4: MAVLink on" in (folder / "autopilots_1_to_4.log").read_text(encoding="utf-8")
+def test_the_flight_writes_its_folder(weighted: Flown) -> None:
+    assert_complete(weighted.folder, "weighted")
 
 
-def test_the_comparison_is_a_table_a_figure_and_a_file(compared: Compared) -> None:
-    assert (compared.folder / "comparison.png").read_bytes().startswith(PNG)
-    comparison: Any = msgspec.json.decode((compared.folder / "comparison.json").read_bytes())
-    rows = {row["figure"]: row for row in comparison["rows"]}
-    assert comparison["laws"] == list(LAWS)
-    assert rows["largest distance 1-2"]["best"] == ["weighted"]
-    assert rows["settled to 10 cm"]["best"] == ["weighted"]
-    table = compared.done.stdout.splitlines()
-    assert any(line.startswith("largest distance 1-2 [m]") and line.count("*") == 1 for line in table)
-    assert table[-1] == f"results in {compared.folder}"
-    assert compared.done.stderr == ""
+def assert_complete(folder: Path, law: str) -> None:
+    for figure in ("figure_5.png", "figure_6.png"):
+        assert (folder / figure).read_bytes().startswith(PNG)
+    assert load_scenario(folder / "scenario.yaml").fleet.law.name == law
+    for vehicle_id in (1, 2, 3, 4):
+        assert "engage -> formation" in (folder / f"agent_{vehicle_id}.log").read_text(encoding="utf-8")
+        assert (folder / f"truth_{vehicle_id}.csv").stat().st_size > 100_000
+    assert "vehicle 4: MAVLink on" in (folder / "autopilots_1_to_4.log").read_text(encoding="utf-8")
 
 
 def offboard_s(folder: Path, vehicle_id: int) -> float:
@@ -154,18 +125,42 @@ def positions_m(folder: Path) -> FloatArray:
     return np.stack([read_track(folder / f"truth_{vehicle_id}.csv").at(times_s) for vehicle_id in (1, 2, 3, 4)])
 
 
-def test_real_processes_and_virtual_time_agree(compared: Compared, tmp_path: Path) -> None:
+def test_real_processes_and_virtual_time_agree(weighted: Flown, tmp_path: Path) -> None:
     command = ["run", str(PLATOON), "--out", str(tmp_path), "--quiet", "--set", f"{FORM}={COMPARED_S}"]
     done = subprocess.run(
         [sys.executable, "-m", "sitl", *command], capture_output=True, text=True, timeout=200, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    apart_m = np.linalg.norm(positions_m(compared.folder / "weighted") - positions_m(tmp_path), axis=2)
+    apart_m = np.linalg.norm(positions_m(weighted.folder) - positions_m(tmp_path), axis=2)
     assert np.sqrt((apart_m**2).mean(axis=1)).max() <= AGREES_RMS_M
     assert apart_m.max() <= AGREES_MAX_M
-    real, virtual = compared.weighted, read_summary(tmp_path / "summary.json")
+    real, virtual = weighted.summary, read_summary(tmp_path / "summary.json")
     assert real.max_distance_m is not None
     assert virtual.max_distance_m == pytest.approx(real.max_distance_m, abs=0.02)
+
+
+@pytest.mark.long
+def test_the_weighted_law_is_better_than_the_average(tmp_path: Path) -> None:
+    """`make fly`: both laws, a table, a figure and a file."""
+    done = fly(
+        PLATOON, tmp_path, "--compare", "average_22", "--quiet", "--set", f"{FORM}={COMPARED_S}", timeout_s=580.0
+    )
+    weighted, average = (read_summary(tmp_path / law / "summary.json") for law in LAWS)
+    assert largest(weighted) < largest(average)
+    assert weighted.settle_s is not None
+    assert average.settle_s is None or weighted.settle_s < average.settle_s
+    for law in LAWS:
+        assert_complete(tmp_path / law, law)
+    assert (tmp_path / "comparison.png").read_bytes().startswith(PNG)
+    comparison: Any = msgspec.json.decode((tmp_path / "comparison.json").read_bytes())
+    rows = {row["figure"]: row for row in comparison["rows"]}
+    assert comparison["laws"] == list(LAWS)
+    assert rows["largest distance 1-2"]["best"] == ["weighted"]
+    assert rows["settled to 10 cm"]["best"] == ["weighted"]
+    table = done.stdout.splitlines()
+    assert any(line.startswith("largest distance 1-2 [m]") and line.count("*") == 1 for line in table)
+    assert table[-1] == f"results in {tmp_path}"
+    assert done.stderr == ""
 
 
 @pytest.mark.long

@@ -177,6 +177,7 @@ def test_ctrl_c_in_formation_lands_both_and_keeps_their_autopilots(
     assert all_are_running(autopilots)
 
 
+@pytest.mark.long
 def test_a_vehicle_that_loses_its_agent_in_formation_is_reported_as_left_armed(
     tmp_path: Path, offset: int, autopilots: list[subprocess.Popen[bytes]]
 ) -> None:

@@ -62,7 +62,7 @@ def true_end(folder: Path, vehicle_id: int) -> tuple[tuple[float, float, float],
     return (float(last["x_m"]), float(last["y_m"]), float(last["z_m"])), last["armed"] == "1"
 
 
-@pytest.mark.parametrize("make", ["px4", "ardupilot"])
+@pytest.mark.parametrize("make", ["px4", pytest.param("ardupilot", marks=pytest.mark.long)])
 def test_both_vehicles_return_home_also_without_an_agent(tmp_path: Path, make: str) -> None:
     offset = free_fleet_offset()
     text = SCENARIO.format(make=make, low=LOW[make])

@@ -141,7 +141,7 @@ class OwnLateness(threading.Thread):
 
 STARVED = "starved"
 NOT_JUDGED = "not judged"
-SHOWN_SOURCES = 3
+SHOWN_SOURCES, SHOWN_CHARACTERS = 3, 400
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -284,7 +284,8 @@ def _starved_report(failure: pytest.TestReport, late: list[Late]) -> pytest.Test
     """The report of a failed phase, as one that does not count. Its texts pass from an xdist worker to the controller."""
     failure.outcome = STARVED  # type: ignore[assignment]
     crash = getattr(failure.longrepr, "reprcrash", None)
-    failure.first_failure = (crash.message if crash else str(failure.longrepr)).splitlines()[0]  # type: ignore[attr-defined]
+    first_line = (crash.message if crash else str(failure.longrepr)).splitlines()[0]
+    failure.first_failure = first_line[:SHOWN_CHARACTERS]  # type: ignore[attr-defined]
     failure.starved = _in_words(late)  # type: ignore[attr-defined]
     return failure
 

@@ -89,21 +89,23 @@ def apart_m(*overrides: str) -> FloatArray:
     "overrides",
     [
         (),
-        (COOPERATIVE,),
-        (COOPERATIVE, "fleet.law.weight_ratio=0.3"),
-        ("fleet.law.name=average_26",),
-        ("links.peer_delay_s=0.05",),
         (COOPERATIVE, "links.peer_delay_s=0.05"),
         ("links.telemetry_delay_s=0.01", "links.setpoint_delay_s=0.013"),
-        ("fleet.law.altitude=hold", SIDEWAYS_AND_UP, BY_THE_LAW),
         (COOPERATIVE, SIDEWAYS_AND_UP, BY_THE_LAW, "fleet.neighbours={kind: range, range_m: 2.0, hysteresis_m: 0.2}"),
-        (LINKS_BREAK,),
-        (COOPERATIVE, FIGURE_8),
-        (
-            "reference.point_enu_m=[6.0, -4.0, 1.0]",
-            BY_THE_LAW,
-            "fleet.separation_m=0.1",
-        ),  # far beyond the output limits
+        *(
+            pytest.param(overrides, marks=pytest.mark.long)
+            for overrides in (
+                (COOPERATIVE,),
+                (COOPERATIVE, "fleet.law.weight_ratio=0.3"),
+                ("fleet.law.name=average_26",),
+                ("links.peer_delay_s=0.05",),
+                ("fleet.law.altitude=hold", SIDEWAYS_AND_UP, BY_THE_LAW),
+                (LINKS_BREAK,),
+                (COOPERATIVE, FIGURE_8),
+                # far beyond the output limits
+                ("reference.point_enu_m=[6.0, -4.0, 1.0]", BY_THE_LAW, "fleet.separation_m=0.1"),
+            )
+        ),
     ],
     ids=lambda overrides: " ".join(overrides) or "weighted",
 )
@@ -134,6 +136,7 @@ def test_another_delay_exceeds_the_tolerance() -> None:
     assert off_m.max() > 20.0 * TOLERANCE_M
 
 
+@pytest.mark.long
 def test_loss_and_jitter_have_the_same_effect() -> None:
     """Random numbers differ, so the deviations from the undisturbed formation are compared."""
     bad = (COOPERATIVE, "links.peer_loss=0.3", "links.peer_jitter_s=0.06")
@@ -160,6 +163,7 @@ def strayed_in_lockstep_m(bad: tuple[str, ...], seed: int) -> float:
     return float(np.linalg.norm(apart, axis=2).max())
 
 
+@pytest.mark.long
 def test_figures_with_sensor_noise_have_the_same_distribution() -> None:
     """Lockstep's flights are consistent with those of the batch: final error and largest distance of the platoon."""
     noisy = ("stand_in.sensors=default",)

@@ -61,6 +61,7 @@ def run(arguments: list[str], out: Path, *more: str) -> int:
     return code
 
 
+@pytest.mark.long
 def test_a_sweep_is_the_same_although_a_worker_is_killed(
     two: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -78,6 +79,7 @@ def test_a_sweep_is_the_same_although_a_worker_is_killed(
         assert (tmp_path / "here" / name).read_bytes() == (tmp_path / "there" / name).read_bytes()
 
 
+@pytest.mark.long
 def test_the_flights_of_the_gauntlet_are_the_same(two: Cluster, tmp_path: Path) -> None:
     assert run(GAUNTLET, tmp_path / "here") == run(GAUNTLET, tmp_path / "there", "--cluster", two.address) == 0
 
@@ -90,6 +92,7 @@ def test_the_flights_of_the_gauntlet_are_the_same(two: Cluster, tmp_path: Path) 
     assert flown("here") == flown("there")
 
 
+@pytest.mark.long
 def test_random_starts_are_the_same(two: Cluster, tmp_path: Path) -> None:
     assert run(SWITCHING, tmp_path / "here") == run(SWITCHING, tmp_path / "there", "--cluster", two.address) == 0
     name = "switching.json"

@@ -127,6 +127,7 @@ def test_the_ring_follows_the_eight(law: str, most_m: float) -> None:
     assert figures.final_error_m < most_m
 
 
+@pytest.mark.long
 def test_followers_keep_their_slots_better_than_with_either_average_law() -> None:
     """Relative to the RFT this holds for eq. 22 only: followers do not slow down the leader of eq. 26."""
     by_law = {law: tracked(law) for law in ("weighted", "average_22", "average_26")}

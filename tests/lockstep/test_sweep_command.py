@@ -39,6 +39,7 @@ def rows_of(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.long
 def test_figures_agree_with_sitl_run(tmp_path: Path) -> None:
     laws = ("weighted", "cooperative")
     options = SweepOptions(PLATOON, (f"fleet.law.name={','.join(laws)}",), 2, 30.0, out=tmp_path, quiet=True)

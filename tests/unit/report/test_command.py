@@ -29,6 +29,12 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of the findings: the figures have tests of their own, and take seconds."""
+    monkeypatch.setattr("companion.report.page.sections_of", lambda _one, _axis: [])
+
+
 def codes(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, list[tuple[str, int | None]]]:
     """(exit code, codes and vehicles of the findings)."""
     capsys.readouterr()
@@ -61,12 +67,14 @@ def test_json_has_figures_of_every_vehicle(flown: Path, tmp_path: Path, capsys: 
     assert (tmp_path / "a.html").exists()
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_critical_findings_are_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     failed = Faults(events=((12.0, Notice(Code.AGENT_FAILED, "ValueError: a defect")),))
     write_recordings(tmp_path, records_of(2, SECONDS, {2: failed}))
     assert codes(tmp_path, capsys) == (1, [("AGENT_FAILED", 2)])
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_truncated_file_is_read_as_far_as_possible(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, path = write_recordings(tmp_path, records_of(2, SECONDS))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
@@ -75,17 +83,20 @@ def test_a_truncated_file_is_read_as_far_as_possible(tmp_path: Path, capsys: pyt
     assert found == [("RECORDING_ENDS_IN_AIR", 2), ("RECORDING_TRUNCATED", 2)]
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_two_starts_of_one_vehicle_are_one_vehicle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_recordings(tmp_path, records_of(2, SECONDS, {2: Faults(restart_s=(12.0, 13.0))}))
     assert codes(tmp_path, capsys) == (1, [("AGENT_RESTARTED", 2)])
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_missing_vehicle_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     missing, *others = records_of(3, SECONDS)
     write_recordings(tmp_path, others)
     assert codes(tmp_path, capsys) == (0, [("RECORDING_MISSING", missing.header.vehicle_id)])
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_vehicles_that_never_met_are_not_aligned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for number, start in enumerate(records_of(2, SECONDS)):
         write_recordings(tmp_path / str(number), [start])
@@ -113,6 +124,7 @@ def test_of_flights_on_several_days_the_last_is_reported(tmp_path: Path, capsys:
     assert "2 recordings of more than an hour before or after this flight" in found["text"]
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_vehicle_of_1970_that_never_met_the_others_ends_no_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -132,6 +144,7 @@ def test_records_of_many_days_are_refused_in_one_line(tmp_path: Path, capsys: py
     assert line.endswith("its records span more than 24 hours; give the folder of one flight")
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_values_that_no_vehicle_has_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def far(time_s: float, record: DecisionRecord) -> DecisionRecord:
         return replace(record, position_enu_m=(1e308, -1e308, 1e300), nearest_m=1e308) if time_s > 15.0 else record
@@ -150,6 +163,7 @@ def test_a_recording_of_very_many_records_is_read_up_to_a_limit(
     assert "after 100 records of /status the rest of the recording is left out" in texts
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_another_file_in_the_folder_is_a_finding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_recordings(tmp_path, records_of(1, SECONDS))
     (tmp_path / "notes.mcap").write_text("no recording")
@@ -181,6 +195,7 @@ def test_a_named_log_that_cannot_be_used_is_exit_code_2_before_the_work(
     assert not (tmp_path / "a.html").exists()
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_log_in_the_folder_that_cannot_be_read_is_a_finding(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -104,6 +104,7 @@ def test_progress_comes_from_the_workers_and_leaving_the_block_ends_the_jobs(two
     until((tmp_path / "ended").exists, 20.0)
 
 
+@pytest.mark.long
 def test_jobs_of_a_killed_worker_are_repeated(two: Cluster, tmp_path: Path) -> None:
     folder = tmp_path / "jobs"
     folder.mkdir()
@@ -113,6 +114,7 @@ def test_jobs_of_a_killed_worker_are_repeated(two: Cluster, tmp_path: Path) -> N
         assert running.results() == [9]
 
 
+@pytest.mark.long
 def test_a_job_that_ends_every_worker_is_one_error(two: Cluster) -> None:
     def replace_dead() -> None:
         for _ in range(2):
@@ -127,6 +129,7 @@ def test_a_job_that_ends_every_worker_is_one_error(two: Cluster) -> None:
         replaced.result()
 
 
+@pytest.mark.long
 def test_when_no_worker_is_left_the_wait_ends(two: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(client_module, "LOOK_S", 0.2)
     with workers_of(two.address) as workers, workers.running(jobs.half, [tmp_path]) as running:
@@ -138,6 +141,7 @@ def test_when_no_worker_is_left_the_wait_ends(two: Cluster, tmp_path: Path, monk
             running.results()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_scheduler_that_ends_or_hangs_ends_the_wait(
     number: signal.Signals, two: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -198,6 +202,7 @@ def test_a_worker_with_another_version_is_refused_before_any_job(tmp_path: Path)
     assert f": numpy 1.0 (here {here}); make all machines alike (docs/cluster.md)" in str(raised.value)
 
 
+@pytest.mark.long
 def test_a_worker_that_joins_later_with_another_version_is_refused_too(tmp_path: Path) -> None:
     with cluster(tmp_path, 1) as made, workers_of(made.address) as workers:
         made.add_worker(*preload(tmp_path))

@@ -154,6 +154,7 @@ def test_a_band_larger_than_the_step_does_not_affect_the_verdict() -> None:
     assert "is 1.20 m, 120 % of the step" in found["chain-16-sooner"].remark
 
 
+@pytest.mark.long
 def test_every_law_at_rest_is_inside_its_band() -> None:
     flown = fly_pairs([Case(chain(6), setting, "default") for setting in MAIN], 20.0)
     within_m = band_m(flown)
@@ -163,6 +164,7 @@ def test_every_law_at_rest_is_inside_its_band() -> None:
     assert within_m > max(pair.rest_error_m for pair in banded if pair.rest.setting != COOPERATIVE.label)
 
 
+@pytest.mark.long
 def test_noise_is_the_same_with_the_step_and_at_rest() -> None:
     """Noise moves the vehicles by decimetres, but the transient is the same as without noise."""
     cases = [Case(chain(4), COOPERATIVE, sensors, links) for sensors in ("default", "ideal") for links in LINKS]
@@ -200,6 +202,7 @@ def test_the_settings_match_their_labels() -> None:
     assert len({setting.label for setting in SETTINGS}) == len(SETTINGS)
 
 
+@pytest.mark.long
 def test_cooperative_settles_first_with_bad_links() -> None:
     figures = fly([Case(chain(4), setting, "default", BAD_LINKS) for setting in MAIN], 12.0, within_m=0.4)
     average, paper, ours = figures
@@ -270,6 +273,7 @@ def test_noise_counts_for_the_distance_alone() -> None:
     assert (score.settling, score.room_m, score.smallest_m) == (2.0, -0.2, 1.0)
 
 
+@pytest.mark.long
 def test_every_condition_is_flown_and_the_leader_alone_settles_first(tmp_path: Path) -> None:
     quiet = [condition for condition in CONDITIONS if condition.sensors == "ideal"]
     alone_s = [leader_alone_s(condition) for condition in quiet]
@@ -284,6 +288,7 @@ def test_the_setting_of_cooperative_is_a_candidate() -> None:
     assert law_of(COOPERATIVE.law) in [law_of(candidate.law) for candidate in CANDIDATES]
 
 
+@pytest.mark.long
 def test_a_chain_led_at_both_ends_settles_sooner_than_one_led_at_one_end() -> None:
     both, one = (fly([Case(shape, AVERAGE_22)], 40.0)[0] for shape in (chain_led_at_both_ends(4), chain(4)))
     assert both.settle_s is not None
