@@ -62,7 +62,7 @@ test-page: .venv/test.ready
 test-again: .venv/test.ready
 	$(BIN)/pytest -v --last-failed --last-failed-no-failures none tests
 
-# Random inputs ten times as many. Flights of real processes whose like is flown in virtual time, statistics of many flights,
+# Three times as many random inputs. Flights of real processes whose like is flown in virtual time, statistics of many flights,
 # every command of the field guide, and the laboratory's tests.
 test-long: .venv/test.ready
 	$(BIN)/pytest -q -n 2 --hypothesis-profile thorough -m hypothesis tests/unit

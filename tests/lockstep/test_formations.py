@@ -54,6 +54,7 @@ def test_vehicles_keep_the_distances_of_their_slots() -> None:
     assert smallest_m(flight.tracks(), times_s) > desired_m - 0.1
 
 
+@pytest.mark.long
 def test_vehicles_keep_the_separation_with_noise() -> None:
     flight = flown()
     assert smallest_m(flight.tracks(), steady_times_s(flight)) > 1.0

@@ -21,7 +21,14 @@ COLUMN_ON_EIGHT = (
 LAYERS = ("--vehicles", "6", "--shape", "layers", "--spacing", "2", "--topology", "range", "--reference", "waypoints")
 
 
-@pytest.mark.parametrize("choices", [V_ON_CIRCLE, COLUMN_ON_EIGHT, LAYERS], ids=["v", "column", "layers"])
+@pytest.mark.parametrize(
+    "choices",
+    [
+        pytest.param(V_ON_CIRCLE, id="v"),
+        pytest.param(COLUMN_ON_EIGHT, id="column", marks=pytest.mark.long),
+        pytest.param(LAYERS, id="layers", marks=pytest.mark.long),
+    ],
+)
 def test_a_new_scenario_flies_as_it_is(choices: tuple[str, ...], tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-m", "sitl", "new", "new", *choices], cwd=tmp_path, timeout=60, check=True)
     path = tmp_path / "new.yaml"

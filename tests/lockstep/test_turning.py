@@ -126,6 +126,7 @@ def test_a_column_changes_to_a_line_while_turning_on_a_circle() -> None:
     assert all(slot.formation == 1 and slot.position_enu_m[0] == pytest.approx(0.0) for slot in end.values())
 
 
+@pytest.mark.long
 def test_the_column_keeps_the_separation_with_noise() -> None:
     flight = flown(COLUMN)
     assert flight.smallest_m(SETTLED_S) > flight.scenario.fleet.separation_m

@@ -232,7 +232,7 @@ def test_the_observer_does_not_change_the_flight_in_still_air() -> None:
     assert np.abs(with_observer[:, :count] - without[:, :count]).max() < 0.01
 
 
-@pytest.mark.parametrize("sensors", ["default", "px4_sih"])
+@pytest.mark.parametrize("sensors", ["default", pytest.param("px4_sih", marks=pytest.mark.long)])
 def test_noise_increases_attitude_changes_only_slightly(sensors: str) -> None:
     """Measured: 3.1 -> 4.1 and 11.5 -> 15.2 deg/s RMS of roll and pitch rate; the commands vary by 4 % more."""
     noisy = (f"stand_in.sensors={sensors}", CALM)
