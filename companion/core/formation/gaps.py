@@ -30,7 +30,7 @@ RETRY_AFTER_S = 10.0  # a proposal that did not begin is made again
 AHEAD_S = 1.5  # from the proposal to the first movement: time for every vehicle to receive it
 DISTANCE_TOLERANCE_M = 0.01
 SAMPLES = 100
-NUMBERS_AHEAD = 16  # this many changes may have been missed; a peer with a larger number is wrong
+CHANGES_MISSED = 16  # as many as a vehicle may have missed; a peer with a larger number is wrong
 
 Slots = Mapping[int, Vector3]
 Position2 = tuple[float, float]
@@ -108,7 +108,7 @@ class GapFilling:
         present = [self._own_id, *(i for i, since_s in self._gone_s.items() if since_s is None)]
         absent = sorted(self._gone_s.keys() - set(present))
         waiting = [peer.packet.slot.waiting for peer in newest.values()]
-        number = 1 + max([number, *(w for w in waiting if w <= number + NUMBERS_AHEAD)])
+        number = 1 + max([number, *(w for w in waiting if w <= number + CHANGES_MISSED)])
         events: tuple[Notice, ...] = ()
         for gone_id in absent:
             since_s, slots = self._gone_s[gone_id], closed_up(slots_enu_m, gone_id, present)

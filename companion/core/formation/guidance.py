@@ -59,7 +59,7 @@ class Guidance(Struct, frozen=True, gc=False):
 class GuidanceStage:
     """Owns the slot plan, the reference plan, the heading and the entry.
 
-    A follower has no reference plan; slots that keep their directions in ENU have no heading.
+    A vehicle that may not lead has no reference plan; slots that keep their directions in ENU have no heading.
     """
 
     def __init__(
@@ -98,26 +98,26 @@ class GuidanceStage:
             events += changed.events
         reference_s, leads = consensus.lead.reference_s, consensus.lead.role is LEADER
         follows = flight.phase is FORMATION and not leads
-        held, reference, refusal_to_lead = None, None, None
+        planned, reference, refusal_to_lead = None, None, None
         if references:
             events += references.update(now_s, reference_s, slots.slots_enu_m, consensus.peers.flying, targets)
-            held = references.at(reference_s)
-            reference = self._entry.reference(now_s, vehicle, flight, consensus, held, self._slot)
-            refusal_to_lead = self._refusal_to_lead(now_s, vehicle, references, held, follows)
-        known = held if leads else None
+            planned = references.at(reference_s)
+            reference = self._entry.reference(now_s, vehicle, flight, consensus, planned, self._slot)
+            refusal_to_lead = self._refusal_to_lead(now_s, vehicle, references, planned, follows)
+        rft = planned if leads else None
         formed = [peer.sender.vehicle_id for peer in consensus.peers.flying if peer.phase is FORMATION]
         if formed != self._formed:
             self._formed = formed
             self._entry.update(now_s, formed)
-        requests = () if flight.phase is FORMATION else self._enter(now_s, vehicle, flight, consensus, known)
+        requests = () if flight.phase is FORMATION else self._enter(now_s, vehicle, flight, consensus, rft)
         events += slots.update(now_s, reference_s, consensus.peers.flying, flight.phase in STREAMING)
         self._slot = slots.flown
         if heading:
-            self._turn(heading, now_s, flight, consensus, known)
+            self._turn(heading, now_s, flight, consensus, rft)
         refusal_to_enter, warning_to_enter = None, None
         if flight.phase in MAY_FORM and _forms(commands):
             refusal_to_enter, warning_to_enter = self._entry.judge_command(
-                self._entering(now_s, vehicle, consensus), known
+                self._entering(now_s, vehicle, consensus), rft
             )
         return Guidance(
             slot=self._slot,
@@ -149,29 +149,29 @@ class GuidanceStage:
         now_s: float,
         flight: Flight,
         consensus: Consensus,
-        known: FormationState | None,
+        rft: FormationState | None,
     ) -> None:
-        """Turn the own slot to the heading of this tick. `known` is R of a leader."""
+        """Turn the own slot to the heading of this tick. `rft` is R of a leader."""
         if consensus.lead.heading is not None and not flight.streams:
             heading.restart()  # this vehicle does not fly by it, so it may step to the reported one
-        heading.update(now_s, consensus, known if flight.in_formation else None, self._slots.reach_m)
+        heading.update(now_s, consensus, rft if flight.in_formation else None, self._slots.reach_m)
         self._slot = turned_slot(self._slots.flown, heading.flown)
 
     def _refusal_to_lead(
-        self, now_s: float, vehicle: VehicleState, references: ReferencePlan, held: FormationState, follows: bool
+        self, now_s: float, vehicle: VehicleState, references: ReferencePlan, planned: FormationState, follows: bool
     ) -> Notice | None:
         """Why this vehicle must not become leader. `follows`: it flies in formation as a follower."""
         missing = references.missing(now_s)
-        return (self._off_fleet(vehicle, held) or missing) if follows else missing
+        return (self._off_fleet(vehicle, planned) or missing) if follows else missing
 
-    def _off_fleet(self, vehicle: VehicleState, held: FormationState) -> Notice | None:
+    def _off_fleet(self, vehicle: VehicleState, planned: FormationState) -> Notice | None:
         """The refusal where R of this vehicle is more than MAX_OFF_FLEET_M from the fleet, by its own position.
 
         A vehicle that received the RFT late, or restarted meanwhile, may have changed to it by another hand-over. Up to that
         distance it leads in.
         """
         own = formation_state(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._slot)
-        off_m = dist(own.position_enu_m, held.position_enu_m)
+        off_m = dist(own.position_enu_m, planned.position_enu_m)
         if off_m <= MAX_OFF_FLEET_M:
             return None
         text = f"the reference of this vehicle is {off_m:.1f} m from where the fleet flies"
@@ -183,7 +183,7 @@ class GuidanceStage:
         return Entering(now_s, vehicle, armed, heading, self._slots.slots_enu_m)
 
     def _enter(
-        self, now_s: float, vehicle: VehicleState, flight: Flight, consensus: Consensus, known: FormationState | None
+        self, now_s: float, vehicle: VehicleState, flight: Flight, consensus: Consensus, rft: FormationState | None
     ) -> tuple[PhaseRequest, ...]:
         """Until the autopilot takes the stream, the path into the slot begins where this vehicle is."""
         slots = self._slots
@@ -192,7 +192,7 @@ class GuidanceStage:
         elif flight.phase is ENGAGE:
             slots.end_path()
             try:
-                path = self._entry.path(self._entering(now_s, vehicle, consensus), known)
+                path = self._entry.path(self._entering(now_s, vehicle, consensus), rft)
             except Refused as refusal:
                 return (PhaseRequest(PhaseChange.HAND_OVER, refusal.notice.about("does not enter formation")),)
             if path:
