@@ -224,7 +224,7 @@ def _active_set(start: Vector3, rows: list[Constraint], steps: int) -> tuple[Vec
             active, weights, steps = [worst], [step], steps - 1
             continue
         weight = 0.0
-        while steps > 0:
+        while steps > 0 and active:
             steps -= 1
             shares, ox, oy, oz = _split(nx, ny, nz, active)
             new = ox * ox + oy * oy + oz * oz
@@ -248,9 +248,7 @@ def _active_set(start: Vector3, rows: list[Constraint], steps: int) -> tuple[Vec
 
 
 def _split(x: float, y: float, z: float, active: list[Constraint]) -> tuple[Sequence[float], float, float, float]:
-    """Shares of the active normals in a normal (x, y, z), and what is left outside their span. At most three are active."""
-    if not active:
-        return (), x, y, z
+    """Shares of the active normals in a normal (x, y, z), and what is left outside their span. One to three are active."""
     ax, ay, az, _, _ = active[0]
     along_a = ax * x + ay * y + az * z
     if len(active) == 1:

@@ -53,6 +53,12 @@ def test_more_than_the_vehicle_can_fly_meets_a_half_space_by_what_is_left_within
     assert (y > 0.0, z) == (True, pytest.approx(0.0, abs=0.01))
 
 
+def test_no_fall_is_faster_than_the_least_thrust_allows() -> None:
+    x, y, z = filter_acceleration((0.0, 0.0, -9.0), [to_constraint(EAST, 0.5)], LIMITS)
+    assert (x, y) == (pytest.approx(0.5, abs=0.01), pytest.approx(0.0, abs=0.01))
+    assert z == pytest.approx(LIMITS.lowest_m_s2, abs=0.01)
+
+
 def test_one_half_space_changes_only_the_component_along_its_normal() -> None:
     assert filter_acceleration((-2.0, 1.0, 0.5), [to_constraint(EAST, 1.0)], LIMITS) == pytest.approx((1.0, 1.0, 0.5))
 
