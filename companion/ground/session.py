@@ -17,11 +17,11 @@ import zenoh
 
 from companion.ground.answers import TimedReply
 from companion.ground.fleet_state import SILENT_AFTER_S
-from companion.link.fleet.zenoh_session import drain, open_session
+from companion.link.fleet.zenoh_session import drain, each, open_session
 from companion.types.commands import Command, CommandName, CommandReply, Content, next_number
 from companion.types.notices import Code
 from companion.types.status import Status
-from companion.wire.keys import ANY, abort_key, admission_key, command_key, reply_key, status_key
+from companion.wire.keys import ANY, abort_key, admission_key, command_key, reply_fleet_of, reply_key, status_key
 from companion.wire.messages import StatusReport, WireError, decode_reply, decode_report, encode
 
 if TYPE_CHECKING:
@@ -126,17 +126,22 @@ class FleetSession(GroundConnection):
         return commands
 
     def _listen(self) -> None:
-        for sample in drain(self._reports, REPORTS_KEPT):
-            try:
-                report = decode_report(sample.payload.to_bytes())
-            except WireError as error:
-                self.rejected[error.key] += 1
-                continue
-            if str(sample.key_expr) == status_key(report.status.agent.fleet, report.status.agent.vehicle_id):
-                self._undrained.append(report)
-                self._newest[report.status.agent.vehicle_id] = (time.monotonic(), report.status)  # at most 250 ids
-            else:
-                self.rejected[Code.PEER_KEY_MISMATCH] += 1
+        each(drain(self._reports, REPORTS_KEPT), self._take_report, self._refuse)
+
+    def _refuse(self) -> None:
+        self.rejected[Code.REPORT_MALFORMED] += 1
+
+    def _take_report(self, sample: zenoh.Sample) -> None:
+        try:
+            report = decode_report(sample.payload.to_bytes())
+        except WireError as error:
+            self.rejected[error.key] += 1
+            return
+        if str(sample.key_expr) == status_key(report.status.agent.fleet, report.status.agent.vehicle_id):
+            self._undrained.append(report)
+            self._newest[report.status.agent.vehicle_id] = (time.monotonic(), report.status)  # at most 250 ids
+        else:
+            self.rejected[Code.PEER_KEY_MISMATCH] += 1
 
     def newest(self) -> dict[int, Status]:
         """The newest status of each vehicle; without one that is silent: its agent may have restarted. Never blocks."""
@@ -252,21 +257,23 @@ class FleetSession(GroundConnection):
         )
 
     def _listen_to_replies(self) -> None:
-        for sample in drain(self._replies, REPLIES_KEPT):
-            try:
-                reply = decode_reply(sample.payload.to_bytes())
-            except WireError as error:
-                self.rejected[error.key] += 1
-                continue
-            key = str(sample.key_expr)
-            fleet = key.split("/")[1]
-            if key == reply_key(fleet, reply.vehicle_id):
-                if reply.operator != self.operator or (reply.vehicle_id, reply.number) not in self._asked:
-                    self._undrained_replies.append((fleet, reply))
-                for mailbox in self._mailboxes:
-                    mailbox.append(reply)
-            else:
-                self.rejected[Code.PEER_KEY_MISMATCH] += 1
+        each(drain(self._replies, REPLIES_KEPT), self._take_reply, self._refuse)
+
+    def _take_reply(self, sample: zenoh.Sample) -> None:
+        try:
+            reply = decode_reply(sample.payload.to_bytes())
+        except WireError as error:
+            self.rejected[error.key] += 1
+            return
+        key = str(sample.key_expr)
+        fleet = reply_fleet_of(key)
+        if fleet is None or key != reply_key(fleet, reply.vehicle_id):
+            self.rejected[Code.PEER_KEY_MISMATCH] += 1
+            return
+        if reply.operator != self.operator or (reply.vehicle_id, reply.number) not in self._asked:
+            self._undrained_replies.append((fleet, reply))
+        for mailbox in self._mailboxes:
+            mailbox.append(reply)
 
     def linked(self) -> list[str]:
         """Remote endpoints that this session has a link to, like tcp/192.168.1.11:7447."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -157,7 +157,7 @@ def run_fleet(options: FlightOptions) -> int:
         StopRequest("stopped at once; the vehicles were not landed") as stop,
     ):
         lines, failed = _wait_and_land(scenario, folder, offset, options.quiet, stop)
-    print("\n".join(lines if failed else [*lines, f"all landed; files and logs in {folder}"]))
+    print("\n".join(lines))
     return EXIT_FAILED if failed else EXIT_DONE
 
 
@@ -170,26 +170,41 @@ def _wait_and_land(
     watch = watch_of(scenario, time.monotonic())
     progress = FlightProgress(scenario.fleet.name, quiet, watch.began_s)
     failures: list[str] = []
+    endings: list[str] = []
     with FleetProcesses.start(scenario, folder, offset) as fleet, progress:
         with FleetSession(scenario.fleet.name, endpoints, WAITING_OPERATOR) as session, ExitStack() as stack:
             targets = publish_targets(scenario, endpoints, watch.began_s, stack)
 
             def update() -> None:
-                if ending := fleet.unexpected_end():  # the operator may have killed it to see how the others react
-                    progress.remark(ending)
+                while ending := fleet.unexpected_end():  # the operator may have killed it to see how the others react
+                    endings.append(ending)
+                    progress.remark("; ".join(endings))
                 targets.update(time.monotonic())
 
             director = Director(session, watch, progress, update, fleet.lost_vehicles, MACHINE_CLOCK)
             print(_how_to(scenario, folder, offset), flush=True)
-            director.attend(lambda: stop.number is not None)
+            director.attend(lambda: stop.number is not None or fleet.lost_vehicles().issuperset(ids))
             session.ask(set(ids) - fleet.lost_vehicles(), CommandName.TAKE, REPLY_WITHIN_S)
             if still_up := director.land_all():
                 failures.append(still_up)
-        lost = fleet.lost_vehicles()
+        lost, failed = fleet.lost_vehicles(), fleet.ended_by_themselves()
+        endings.extend(iter(fleet.unexpected_end, None))
         failures.extend(fleet.stop_all())
         failures.extend(left_armed(folder, lost))
     busy = watch.overload()
-    return [*([overload_line(busy)] if busy else []), *failures], bool(failures)
+    lines = [*([overload_line(busy)] if busy else []), *endings, *failures]
+    if not failures:
+        lines.append(f"{landed_in_words(ids, lost)}; files and logs in {folder}")
+    return lines, bool(failures or failed)
+
+
+def landed_in_words(ids: Collection[int], lost: Collection[int]) -> str:
+    """Which vehicles have landed, where none was left in the air: nothing is known of one whose processes have ended."""
+    landed = sorted(set(ids).difference(lost))
+    if len(landed) == len(ids):
+        return "all landed"
+    gone = f"an agent or a stand-in of {id_list(lost)} had ended"
+    return f"{id_list(landed)} landed, {gone}" if landed else gone
 
 
 def left_armed(folder: Path, lost: Iterable[int]) -> list[str]:

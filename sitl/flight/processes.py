@@ -123,6 +123,11 @@ class FleetProcesses(AbstractContextManager["FleetProcesses"]):
         ended = (child for child in self._children if child.process.poll() is not None)
         return {vehicle_id for child in ended for vehicle_id in child.vehicle_ids}
 
+    def ended_by_themselves(self) -> set[int]:
+        """Of these vehicles an agent or stand-in has ended though nobody stopped or killed it."""
+        ended = (child for child in self._children if (child.process.poll() or 0) > 0)
+        return {vehicle_id for child in ended for vehicle_id in child.vehicle_ids}
+
     def stop(self) -> list[str]:
         """End the agents, then the others; kill a process that does not end. Returns the names of the killed."""
         agents = [child for child in self._children if child.name.startswith("agent")]

@@ -28,6 +28,16 @@ from companion.types.status import (
     SafetyReport,
     Status,
 )
+from companion.wire.keys import (
+    pairing_key,
+    pairing_sender_of,
+    reply_fleet_of,
+    reply_key,
+    target_key,
+    target_of,
+    traffic_key,
+    traffic_of,
+)
 from companion.wire.messages import (
     StatusReport,
     WireError,
@@ -88,6 +98,27 @@ COMMANDS = (
     Command(CommandName.FORMATION, 9, "anna@ground", 7, CHANGE),
     *(Command(CommandName.REFERENCE, 9, "anna@ground", 7, ReferenceChange(3, dict(d), 21.5)) for d in DESCRIBED),
 )
+# True keys, and such as a stranger may send: key expressions, too few and too many parts, empty ones, 4 kB, other scripts
+KEYS = (
+    *(traffic_key("platoon", "main", "4b1805"), target_key("platoon", "walker")),
+    *(reply_key("platoon", 3), pairing_key("platoon", 2, 1)),
+    *(
+        "**",
+        "*",
+        "**/*",
+        "formation/**",
+        "formation/*/traffic/*/*",
+        "formation/platoon/pairing/*/1",
+        "formation/$*/reply/3",
+    ),
+    *("", "/", "formation", "formation//reply/3", "formation/platoon/reply/", "a/" * 2048, "formation/" + "x" * 4096),
+    *(
+        "formation/platoon/target/\u0661",
+        "formation/platoon/pairing/\u0662/1",
+        "formation/\x1b[2J/reply/3",
+        "\ud55c/\x00",
+    ),
+)
 RESEALED_EACH = 3
 ROUNDS_KEPT = 64  # bytes of damaged values are damaged again so often before new values are made
 
@@ -135,11 +166,19 @@ def decoders() -> dict[str, Decoder]:
         "command reply": Decoder(
             decode_reply, (WireError,), (CommandReply(3, 9, True, Code.PHASE_CHANGED, "engage", "anna@ground"),), encode
         ),
+        "Zenoh keys": Decoder(_keys_of, (), messages=[key.encode() for key in KEYS]),
         "MAVLink, PX4": Decoder(lambda data: px4.telemetry(data, 100.0), (), messages=packets, reseal=resealed),
         "MAVLink, ArduCopter": Decoder(
             lambda data: copter.telemetry(data, 100.0), (), messages=packets, reseal=resealed
         ),
     }
+
+
+def _keys_of(data: bytes) -> list[Any]:
+    """What the decoders of received keys find. Zenoh gives a subscriber text, whatever was sent."""
+    key = data.decode(errors="replace")
+    found = [decode(key) for decode in (target_of, traffic_of, pairing_sender_of, reply_fleet_of)]
+    return [one for one in found if one is not None]
 
 
 def fuzz(name: str, inputs: int, seed: int) -> Fuzzed:

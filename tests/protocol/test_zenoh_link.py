@@ -448,6 +448,33 @@ def test_traffic_reaches_every_vehicle_and_malformed_samples_are_counted(port: i
     assert set(leader.rejected) == {Code.TRAFFIC_MALFORMED}
 
 
+@pytest.mark.parametrize("key", ["**", f"formation/{FLEET.name}/**", "formation/*/*/*/*", "formation/*/*/*"])
+@pytest.mark.parametrize(
+    "payload", [b"", encode_peer(PACKET)[:20], encode(TrafficSample((1.0, 2.0, 3.0), ZERO, 0.0, 0.0))]
+)
+def test_a_message_to_every_key_costs_itself_alone(port: int, key: str, payload: bytes) -> None:
+    with (
+        vehicle(1, listen=(endpoint(port),)) as first,
+        FleetSession("*", (endpoint(port),)) as ground,
+        closing(open_session((), (endpoint(port),))) as stranger,
+    ):
+        received: list[ReceivedTraffic] = []
+
+        def listen() -> None:
+            stranger.put(key, payload)
+            first.tick()
+            first.link.targets(time.monotonic())
+            received.extend(first.link.traffic(time.monotonic()))
+            ground.drain()
+            ground.drain_other_replies()
+
+        until(lambda: first.rejected, each=listen)
+        first.rejected.clear()
+        until(lambda: first.rejected and ground.newest(), each=listen)
+        assert first.packets == first.commands == received == []
+        assert set(ground.newest()) == {1}
+
+
 def test_the_command_lead_carries_its_leaders_and_epoch(port: int) -> None:
     lead = Lead((1, 2), 7)
     with (

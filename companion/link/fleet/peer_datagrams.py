@@ -16,6 +16,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import hmac
+import logging
 import secrets
 import socket
 from collections.abc import Callable, Collection
@@ -28,10 +29,10 @@ import zenoh
 from companion.config.fleet import FleetConfig
 from companion.config.vehicle import DatagramEndpoints
 from companion.link.byte_links import LinkError, explain, read_waiting, resolve
-from companion.link.fleet.zenoh_session import drain, subscriber
+from companion.link.fleet.zenoh_session import drain, each, subscriber
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
-from companion.wire.keys import ANY, pairing_key
+from companion.wire.keys import ANY, pairing_key, pairing_sender_of
 from companion.wire.messages import WireError, decode_peer, encode_peer
 
 READ_BYTES = 16_384  # a change of MAX_VEHICLES slots with a tag for each vehicle has 11,000; most packets a few hundred
@@ -44,6 +45,8 @@ LONGEST_BYTES, BYTES_PER_VEHICLE = 600, 40  # largest peer packet: a fixed part,
 SAME_NETWORK = 1  # time to live of multicast: no router passes it on
 
 Address = tuple[str, int]
+
+_log = logging.getLogger(__name__)
 
 
 class PeerDatagrams:
@@ -117,6 +120,10 @@ def packet_of_fleet(
         packet = decode_peer(data)
     except WireError as error:
         reject(error.key)
+        return None
+    except Exception as error:  # noqa: BLE001 -- a defect in the decoder costs the packet and not the vehicle
+        _log.error("a peer packet is not used: %s: %.200s", type(error).__name__, error)
+        reject(Code.PEER_MALFORMED)
         return None
     if packet.sender.vehicle_id not in fleet_ids:  # counted without the id: unknown senders cannot fill the counters
         reject(Code.PEER_NOT_IN_FLEET)
@@ -220,13 +227,15 @@ class Pairing:
 
     def step(self, now_s: float) -> None:
         """Never blocks."""
-        for sample in drain(self._keys, KEYS_READ):
-            sender = str(sample.key_expr).split("/")[-2]
-            if len(sender) <= 3 and sender.isdecimal():
-                self._seal.learn(int(sender), sample.payload.to_bytes())
+        each(drain(self._keys, KEYS_READ), self._learn, lambda: None)
         if now_s < self._due_s:
             return
         self._due_s = now_s + PERIOD_S
         for receiver_id, key in self._seal.own_keys.items():
             to = pairing_key(self._fleet, self._own_id, receiver_id)
             self._session.put(to, key, congestion_control=zenoh.CongestionControl.DROP)
+
+    def _learn(self, sample: zenoh.Sample) -> None:
+        sender_id = pairing_sender_of(str(sample.key_expr))
+        if sender_id is not None:
+            self._seal.learn(sender_id, sample.payload.to_bytes())

@@ -22,7 +22,7 @@ from companion.config.fleet import FleetConfig
 from companion.config.vehicle import ZenohEndpoints
 from companion.link.fleet.peer_datagrams import Pairing
 from companion.link.fleet.peer_states import PeerStates
-from companion.link.fleet.zenoh_session import drain, open_session, publisher, subscriber
+from companion.link.fleet.zenoh_session import drain, each, open_session, publisher, subscriber
 from companion.link.log import CommandLog
 from companion.security.names import ParticipantRole, parse_common_name
 from companion.types.commands import Command, CommandName, CommandReply
@@ -37,7 +37,9 @@ from companion.wire.keys import (
     reply_key,
     status_key,
     target_key,
+    target_of,
     traffic_key,
+    traffic_of,
 )
 from companion.wire.messages import StatusReport, WireError, decode_command, decode_target, decode_traffic, encode
 
@@ -138,25 +140,26 @@ class ZenohLink:
         before_s, self._drained_s = self._drained_s, now_s
         late = before_s is not None and now_s - before_s > LONG_PAUSE_S
         aborts = self._receive_aborts()
-        commands = (self._command(sample, late) for sample in drain(self._commands, COMMANDS_KEPT))
+        samples = drain(self._commands, COMMANDS_KEPT)
+        commands = each(samples, lambda sample: self._command(sample, late), self._refuse(Code.COMMAND_MALFORMED))
         early, self._early = self._early, []
         packets = [ReceivedPeerPacket(now_s, packet) for packet in self._peers.receive()]
         return (
             (*early, *packets, *(self._datagrams.receive(now_s) if self._datagrams else ())),
-            (*aborts, *(command for command in commands if command)),
+            (*aborts, *commands),
         )
 
     def targets(self, now_s: float) -> tuple[ReceivedTarget, ...]:
         """All target samples since the last call; empty for a vehicle that may not become leader. Never blocks."""
         if self._targets is None:
             return ()
-        targets = (self._target(sample, now_s) for sample in drain(self._targets, TARGETS_KEPT))
-        return tuple(target for target in targets if target)
+        samples = drain(self._targets, TARGETS_KEPT)
+        return tuple(each(samples, lambda one: self._target(one, now_s), self._refuse(Code.TARGET_MALFORMED)))
 
     def traffic(self, now_s: float) -> tuple[ReceivedTraffic, ...]:
         """All traffic samples since the last call. Never blocks."""
-        samples = (self._traffic_sample(sample, now_s) for sample in drain(self._traffic, TRAFFIC_KEPT))
-        return tuple(sample for sample in samples if sample)
+        samples = drain(self._traffic, TRAFFIC_KEPT)
+        return tuple(each(samples, lambda one: self._traffic_sample(one, now_s), self._refuse(Code.TRAFFIC_MALFORMED)))
 
     def publish_peer(self, packet: PeerPacket) -> None:
         """Publish the own peer packet."""
@@ -211,12 +214,15 @@ class ZenohLink:
         closing.join(CLOSE_WITHIN_S)
 
     def _target(self, sample: zenoh.Sample, now_s: float) -> ReceivedTarget | None:
-        name = str(sample.key_expr).rpartition("/")[2]
+        name = target_of(str(sample.key_expr))
+        if name is None:
+            self._reject(Code.TARGET_MALFORMED)
+            return None
         target = self._decode(sample, decode_target, f"{ParticipantRole.TARGET}-{name}")
         return ReceivedTarget(now_s, name, target) if target else None
 
     def _traffic_sample(self, sample: zenoh.Sample, now_s: float) -> ReceivedTraffic | None:
-        source, name = str(sample.key_expr).split("/")[-2:]
+        source, name = traffic_of(str(sample.key_expr)) or ("", "")
         if not TRAFFIC_NAME.fullmatch(name):  # it appears in events and on terminals
             self._reject(Code.TRAFFIC_MALFORMED)
             return None
@@ -234,21 +240,27 @@ class ZenohLink:
             self._reject(error.key)
             return None
 
+    def _refuse(self, code: Code) -> Callable[[], None]:
+        return lambda: self._reject(code)
+
     def _receive_aborts(self) -> list[Command]:
-        """The first ABORTS_KEPT aborts on the abort key."""
+        """The first ABORTS_KEPT aborts on the abort key; the channel is emptied in any case."""
         aborts: list[Command] = []
         for sample in drain(self._aborts, ABORT_SAMPLES_KEPT):
-            if len(aborts) == ABORTS_KEPT:
-                continue  # the channel is emptied all the same
-            if len(sample.payload) > LONGEST_ABORT or ABORT_TEXT not in sample.payload.to_bytes():
-                self._reject(Code.COMMAND_MALFORMED)
-            elif (command := self._decode_command(sample, abort_key)) is not None:
-                if command.name is CommandName.ABORT:
-                    self._note(command)
-                    aborts.append(command)
-                else:
-                    self._reject(Code.COMMAND_MALFORMED)
+            if len(aborts) < ABORTS_KEPT:
+                aborts += each((sample,), self._abort, self._refuse(Code.COMMAND_MALFORMED))
+        for command in aborts:
+            self._note(command)
         return aborts
+
+    def _abort(self, sample: zenoh.Sample) -> Command | None:
+        if len(sample.payload) > LONGEST_ABORT or ABORT_TEXT not in sample.payload.to_bytes():
+            self._reject(Code.COMMAND_MALFORMED)
+        elif (command := self._decode_command(sample, abort_key)) is not None:
+            if command.name is CommandName.ABORT:
+                return command
+            self._reject(Code.COMMAND_MALFORMED)
+        return None
 
     def _decode_command(self, sample: zenoh.Sample, key: Callable[[str, int, str], str]) -> Command | None:
         """The command; None for one that is malformed, or under the key of another operator than it names."""

@@ -7,10 +7,11 @@ to. Whatever no rule permits is denied: queries, liveliness tokens, and names th
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import zenoh
 
@@ -33,6 +34,9 @@ from companion.wire.keys import (
 if TYPE_CHECKING:
     from companion.security.identity import Identity
 
+
+_log = logging.getLogger(__name__)
+Taken = TypeVar("Taken")
 
 # A silent link is closed after this time. The formation does not depend on it, as it uses the age of the data. A lease below
 # the stalls of TCP on a lossy radio (about a second) would only add reconnections to the loss.
@@ -157,6 +161,21 @@ def drain(channel: Any, limit: int) -> list[Any]:
     while len(items) < limit and (item := channel.try_recv()) is not None:
         items.append(item)
     return items
+
+
+def each(items: Iterable[Any], take: Callable[[Any], Taken | None], refuse: Callable[[], None]) -> list[Taken]:
+    """What `take` makes of the items, without None. One on which it fails is refused: no message ends its receiver."""
+    taken: list[Taken] = []
+    for item in items:
+        try:
+            one = take(item)
+        except Exception as error:  # noqa: BLE001 -- a defect in a decoder costs the message and not the vehicle
+            _log.error("a received message is not used: %s: %.200s", type(error).__name__, error)
+            refuse()
+            continue
+        if one is not None:
+            taken.append(one)
+    return taken
 
 
 def check_endpoints(kind: str, endpoints: Sequence[str]) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sitl.flight.files import truth_path
-from sitl.flight.fly import companion_program, left_armed
+from sitl.flight.fly import companion_program, landed_in_words, left_armed
 from sitl.vehicle.truth import TRUTH_HEADER
 
 
@@ -41,3 +41,9 @@ def test_a_vehicle_that_nobody_could_land_is_named(tmp_path: Path) -> None:
         text = TRUTH_HEADER + "".join(ROW.format(*row) for row in of_vehicle)
         truth_path(tmp_path, i).write_text(text + "2.5,0.0", encoding="utf-8")  # an incomplete last row is left out
     assert left_armed(tmp_path, {1, 3, 4}) == ["vehicle 3 was left armed at 2.0 m: its agent or stand-in had ended"]
+
+
+def test_all_have_landed_only_where_no_agent_or_stand_in_has_ended() -> None:
+    assert landed_in_words([1, 2, 3], set()) == "all landed"
+    assert landed_in_words([1, 2, 3], {2}) == "vehicles 1, 3 landed, an agent or a stand-in of vehicle 2 had ended"
+    assert landed_in_words([1, 2], {1, 2}) == "an agent or a stand-in of vehicles 1, 2 had ended"
