@@ -6,7 +6,7 @@ sides the Euler angles map as roll -> roll, pitch -> -pitch, yaw_ned = pi/2 - ya
 
 from __future__ import annotations
 
-from math import asin, atan2, copysign, cos, degrees, pi, radians, sin, sqrt
+from math import asin, atan2, copysign, cos, degrees, pi, radians, remainder, sin, sqrt
 
 from companion.types.values import Vector3
 
@@ -42,6 +42,11 @@ def wrap_pi(angle_rad: float) -> float:
     if -pi <= angle_rad < pi:
         return angle_rad
     return (angle_rad + pi) % (2.0 * pi) - pi
+
+
+def wrap_degrees(angle_deg: float) -> float:
+    """The same angle in [-180, 180], exactly: a longitude or a difference of two. Within that range it stays as it is."""
+    return remainder(angle_deg, 360.0)
 
 
 def euler_enu_from_ned(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Vector3:
@@ -89,11 +94,14 @@ def _metres_per_radian(latitude_rad: float) -> tuple[float, float]:
 def enu_from_geodetic(
     latitude_deg: float, longitude_deg: float, altitude_amsl_m: float, origin_deg_deg_m: Vector3
 ) -> Vector3:
-    """Position in ENU about a geodetic origin (latitude, longitude, altitude). Tangent plane: good to 1 cm within 300 m."""
+    """Position in ENU about a geodetic origin (latitude, longitude, altitude), the short way round the globe.
+
+    Degrees are scaled as at the origin: at 300 m good to 2 cm at 47 degrees of latitude, to 20 cm at 85.
+    """
     latitude0, longitude0, altitude0 = origin_deg_deg_m
     north_scale, east_scale = _metres_per_radian(radians(latitude0))
     return (
-        radians(longitude_deg - longitude0) * east_scale,
+        radians(wrap_degrees(longitude_deg - longitude0)) * east_scale,
         radians(latitude_deg - latitude0) * north_scale,
         altitude_amsl_m - altitude0,
     )
@@ -104,4 +112,5 @@ def geodetic_from_enu(position_enu_m: Vector3, origin_deg_deg_m: Vector3) -> Vec
     latitude0, longitude0, altitude0 = origin_deg_deg_m
     north_scale, east_scale = _metres_per_radian(radians(latitude0))
     east, north, up = position_enu_m
-    return (latitude0 + degrees(north / north_scale), longitude0 + degrees(east / east_scale), altitude0 + up)
+    longitude_deg = wrap_degrees(longitude0 + degrees(east / east_scale))
+    return (latitude0 + degrees(north / north_scale), longitude_deg, altitude0 + up)

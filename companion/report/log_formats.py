@@ -15,6 +15,7 @@ from pymavlink import DFReader
 from pyulog import ULog
 from pyulog.exceptions import ULogException
 
+from companion.geometry.frames import wrap_degrees
 from companion.report.autopilot_logs import AutopilotLog, LogError, LogMessage, Series
 from companion.report.flight import Floats
 
@@ -119,7 +120,10 @@ def _by_position(rows: Rows) -> tuple[Series, Floats] | None:
     time_s = _row_times_s(found)
     east = METRES_PER_DEGREE * cos(radians(found[0].Lat))
     position = np.array(
-        [((row.Lng - found[0].Lng) * east, (row.Lat - found[0].Lat) * METRES_PER_DEGREE, row.Alt) for row in found],
+        [
+            (wrap_degrees(row.Lng - found[0].Lng) * east, (row.Lat - found[0].Lat) * METRES_PER_DEGREE, row.Alt)
+            for row in found
+        ],
         dtype=np.float64,
     )
     rising, first = np.unique(time_s, return_index=True)

@@ -25,6 +25,7 @@ import companion.recording.files as files
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.reference import PointReference
 from companion.config.vehicle import AgentConfig, RecordingSettings, VehicleConfig
+from companion.geometry.frames import wrap_degrees
 from companion.recording.codec import encode, encode_inbox, encode_outbox, log_time_ns, metadata_of
 from companion.recording.recorder import Recorder, recorder_of
 from companion.recording.records import (
@@ -204,7 +205,9 @@ def write_ulog(path: Path, start: StartRecords, faults: LoggedFaults = WELL) -> 
     return path
 
 
-def write_dataflash(path: Path, start: StartRecords, faults: LoggedFaults = WELL) -> Path:
+def write_dataflash(
+    path: Path, start: StartRecords, faults: LoggedFaults = WELL, origin_longitude_deg: float = LONGITUDE_DEG
+) -> Path:
     """What ArduPilot logs of this start."""
     formats = (
         (128, "FMT", "<BB4s16s64s", "BBnNZ", "Type,Length,Name,Format,Columns"),
@@ -229,7 +232,7 @@ def write_dataflash(path: Path, start: StartRecords, faults: LoggedFaults = WELL
     for time_s, (x, y, z), _ in _motion(start):
         time_us = round((time_s + AT_S) * 1e6)
         latitude_deg = LATITUDE_DEG + y * DEGREES_PER_METRE
-        longitude_deg = LONGITUDE_DEG + x * DEGREES_PER_METRE / cos(radians(LATITUDE_DEG))
+        longitude_deg = wrap_degrees(origin_longitude_deg + x * DEGREES_PER_METRE / cos(radians(LATITUDE_DEG)))
         vibration, failsafe = faults.vibration_m_s2(time_s), faults.failsafe(time_s)
         parts += [
             message("POS", time_us, round(latitude_deg * 1e7), round(longitude_deg * 1e7), 488.0 + z, z),

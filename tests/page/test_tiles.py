@@ -27,8 +27,8 @@ ZOOM = 17
 
 
 @contextmanager
-def monitored(folder: Path, *options: str) -> Iterator[str]:
-    """The URL of the page of three vehicles in formation."""
+def monitored(folder: Path, *options: str, longitude_deg: float = DEFAULT_ORIGIN.longitude_deg) -> Iterator[str]:
+    """The URL of the page of three vehicles in formation about an origin of this longitude."""
     port, page_port = free_port(SOCK_STREAM), free_port(SOCK_STREAM)
     fleet_file = folder / "fleet.yaml"
     with running(
@@ -36,6 +36,8 @@ def monitored(folder: Path, *options: str) -> Iterator[str]:
     ) as load:
         assert load.stdout
         assert load.stdout.readline()
+        text = re.sub(r"longitude_deg: *[-.0-9]+", f"longitude_deg: {longitude_deg}", fleet_file.read_text())
+        fleet_file.write_text(text)
         listening = ("--connect", f"tcp/127.0.0.1:{port}", "--listen", f"127.0.0.1:{page_port}")
         with running("companion", "monitor", "--fleet-file", str(fleet_file), *listening, *options) as monitor:
             assert monitor.stdout
@@ -49,21 +51,22 @@ def tile_at(latitude_deg: float, longitude_deg: float, zoom: int) -> tuple[int, 
     return int((longitude_deg + 180.0) / 360.0 * count), int((1.0 - asinh(tan(latitude)) / pi) / 2.0 * count)
 
 
-@pytest.fixture
-def tiles(tmp_path: Path) -> Path:
+def make_tiles(tmp_path: Path, longitude_deg: float = DEFAULT_ORIGIN.longitude_deg) -> Path:
     """Orange tiles of zoom 17 about the origin of the fleet: some 600 m of them."""
-    origin = DEFAULT_ORIGIN
-    column, row = tile_at(origin.latitude_deg, origin.longitude_deg, ZOOM)
+    column, row = tile_at(DEFAULT_ORIGIN.latitude_deg, longitude_deg, ZOOM)
     for x in range(column - 1, column + 2):
-        folder = tmp_path / "tiles" / str(ZOOM) / str(x)
+        folder = tmp_path / "tiles" / str(ZOOM) / str(x % 2**ZOOM)
         folder.mkdir(parents=True)
         for y in range(row - 1, row + 2):
             imsave(folder / f"{y}.png", np.full((256, 256, 3), ORANGE, dtype=np.uint8))
     return tmp_path / "tiles"
 
 
-def test_tiles_of_a_folder_are_drawn_below_the_fleet(open_page: OpenPage, tmp_path: Path, tiles: Path) -> None:
-    with monitored(tmp_path, "--tiles", str(tiles)) as url:
+# Just east of the 180th meridian the corner of the view is west of it.
+@pytest.mark.parametrize("longitude_deg", [DEFAULT_ORIGIN.longitude_deg, -179.99999])
+def test_tiles_of_a_folder_are_drawn_below_the_fleet(open_page: OpenPage, tmp_path: Path, longitude_deg: float) -> None:
+    tiles = make_tiles(tmp_path, longitude_deg)
+    with monitored(tmp_path, "--tiles", str(tiles), longitude_deg=longitude_deg) as url:
         page = open_page(url)
         until_shown(page, lambda: page.evaluate(CORNER) == ORANGE)
 

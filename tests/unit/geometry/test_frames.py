@@ -14,12 +14,15 @@ from companion.geometry.frames import (
     geodetic_from_enu,
     ned_from_enu,
     quaternion_from_euler,
+    wrap_degrees,
     wrap_pi,
 )
 
 metre = st.floats(-1000.0, 1000.0)
 tilt = st.floats(-1.5, 1.5)
 heading = st.floats(-3.14, 3.14)
+degree = st.floats(-180.0, 180.0)
+inhabited = st.floats(-85.0, 85.0)
 ORIGIN = (47.397742, 8.545594, 488.0)
 
 
@@ -70,6 +73,37 @@ def test_length_of_a_degree_at_zurich() -> None:
 @given(metre, metre, metre)
 def test_geodetic_and_enu_are_inverse(x: float, y: float, z: float) -> None:
     assert enu_from_geodetic(*geodetic_from_enu((x, y, z), ORIGIN), ORIGIN) == pytest.approx((x, y, z), abs=1e-6)
+
+
+@given(inhabited, degree, metre, metre)
+def test_geodetic_and_enu_are_inverse_around_the_globe(lat_deg: float, lon_deg: float, x: float, y: float) -> None:
+    origin = (lat_deg, lon_deg, 488.0)
+    place = geodetic_from_enu((x, y, 0.0), origin)
+    assert -180.0 <= place[1] <= 180.0
+    assert enu_from_geodetic(*place, origin) == pytest.approx((x, y, 0.0), abs=1e-6)
+
+
+@given(inhabited, degree, st.floats(-0.01, 0.01))
+def test_neighbours_are_near_on_both_sides_of_each_meridian(lat_deg: float, lon_deg: float, east_deg: float) -> None:
+    there_deg = wrap_degrees(lon_deg + east_deg)
+    east, north, _ = enu_from_geodetic(lat_deg, there_deg, 0.0, (lat_deg, lon_deg, 0.0))
+    assert (abs(east) <= 0.0101 * 111_320.0, north) == (True, 0.0)
+    west, _, _ = enu_from_geodetic(lat_deg, lon_deg, 0.0, (lat_deg, there_deg, 0.0))
+    assert west == pytest.approx(-east, abs=1e-6)
+
+
+@given(degree)
+def test_a_longitude_within_half_a_turn_keeps_its_bits(longitude_deg: float) -> None:
+    assert wrap_degrees(longitude_deg) == longitude_deg
+    assert wrap_degrees(longitude_deg + 360.0) == pytest.approx(wrap_degrees(longitude_deg - 360.0), abs=1e-9) or (
+        abs(longitude_deg) == pytest.approx(180.0)
+    )
+
+
+def test_twenty_metres_across_the_180th_meridian() -> None:
+    origin = (-16.8, 179.9999, 10.0)
+    assert enu_from_geodetic(-16.8, -179.9999, 10.0, origin)[0] == pytest.approx(21.3, abs=0.1)
+    assert geodetic_from_enu((21.3, 0.0, 0.0), origin)[1] == pytest.approx(-179.9999, abs=1e-6)
 
 
 def test_nose_down_pitch_accelerates_forward() -> None:

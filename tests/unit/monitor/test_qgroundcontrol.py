@@ -123,6 +123,17 @@ def test_positions_are_where_the_vehicle_is(feed: FedFleet, station: GroundStati
     assert glob.hdg == 9000  # east
 
 
+def test_a_position_across_the_180th_meridian_is_within_the_globe(station: GroundStation) -> None:
+    origin = replace(FIELD.origin, longitude_deg=179.9999)
+    with FedFleet(station.endpoint, replace(FIELD, origin=origin)) as feed:
+        feed.take(of_fleet(leader(position_enu_m=(100.0, 20.0, 2.5))), 100.0)
+        feed.step(100.0)
+        glob = by_kind(station.received(), 1)["GLOBAL_POSITION_INT"]
+    assert -1_800_000_000 < glob.lon < -1_799_000_000
+    back = enu_from_geodetic(glob.lat / 1e7, glob.lon / 1e7, glob.alt / 1e3, origin.as_tuple())
+    assert back == pytest.approx((100.0, 20.0, 2.5), abs=0.02)
+
+
 def test_without_a_course_there_is_no_heading_and_never_an_attitude(feed: FedFleet, station: GroundStation) -> None:
     feed.take(of_fleet(leader(velocity_enu_m_s=(0.1, 0.0, 0.0))), 100.0)
     feed.step(100.0)

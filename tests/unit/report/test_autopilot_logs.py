@@ -38,6 +38,14 @@ def test_a_log_is_aligned_by_its_motion(suffix: str, starts: list[StartRecords],
     assert found.agreement > 0.95
 
 
+def test_a_log_across_the_180th_meridian_is_aligned(starts: list[StartRecords], tmp_path: Path) -> None:
+    found = match(
+        read_log(write_dataflash(tmp_path / "a.bin", starts[1], origin_longitude_deg=180.0)), flight_of(starts)
+    )
+    assert found is not None
+    assert found.agreement > 0.95
+
+
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_voltage_vibration_and_satellites_are_read(suffix: str, starts: list[StartRecords], tmp_path: Path) -> None:
     log = read_log(WRITERS[suffix](tmp_path / f"a{suffix}", starts[0], LoggedFaults(satellites=lambda _: 11)))

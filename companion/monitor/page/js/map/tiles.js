@@ -52,7 +52,8 @@ export class Tiles {
       const image = this._image(zoom - up, x >> up, y >> up);
       if (!image.ready) continue;
       const size = TILE_PX >> up;
-      const [left, top] = [(x % (1 << up)) * size, (y % (1 << up)) * size];
+      const within = (1 << up) - 1; // of the larger tile, also west of column 0
+      const [left, top] = [(x & within) * size, (y & within) * size];
       const corner = (dx, dy) => pen.camera.project([...this._positionOf(x + dx, y + dy, zoom), 0]);
       const [[ax, ay], [bx, by], [cx, cy]] = [corner(0, 0), corner(1, 0), corner(0, 1)];
       const ratio = devicePixelRatio;
@@ -100,8 +101,10 @@ export class Tiles {
   }
 }
 
+/** Columns are counted round the globe: the one east of the last is the first. */
 function path(zoom, x, y) {
-  return `tiles/${zoom}/${x}/${y}.png`;
+  const count = 2 ** zoom;
+  return `tiles/${zoom}/${((x % count) + count) % count}/${y}.png`;
 }
 
 /** On the WGS84 ellipsoid, as companion/geometry/frames.py. */
