@@ -11,7 +11,7 @@ PIP_INSTALL = pip install --quiet --disable-pip-version-check --constraint const
 # times the CPU time and 10 MB more memory, and a worker collects the tests in 2.8 times the time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help fly setup test test-fast test-virtual test-real-time test-page test-again test-long tick check format docs clean
+.PHONY: help fly setup test test-fast test-virtual test-real-time test-page test-again test-long test-new-inputs tick check format docs clean
 
 help:
 	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
@@ -21,6 +21,7 @@ help:
 	@echo "make test-virtual, test-real-time, test-page  one part: virtual time; real processes; the live page (apt install chromium)"
 	@echo "make test-again the tests that failed in the last make test once more, one at a time"
 	@echo "make test-long  the flights that make test leaves out, and the tests of the laboratory (half an hour)"
+	@echo "make test-new-inputs  random inputs that no run before has tried, for every night; make test has the same in every run"
 	@echo "make tick       files, classes, calls and depth of a follower's tick, as a diagram of its stages and as JSON"
 	@echo "make check      ruff, mypy --strict and the import directions"
 	@echo "make format     ruff puts the source in order"
@@ -67,6 +68,11 @@ test-again: .venv/test.ready
 test-long: .venv/test.ready
 	$(BIN)/pytest -q -n 2 --hypothesis-profile thorough -m hypothesis tests/unit
 	$(BIN)/pytest -v --durations 10 -m long tests
+
+# What fails is printed as a line `@reproduce_failure(...)` for its test. Hostile input has a new seed as well.
+test-new-inputs: .venv/test.ready
+	$(BIN)/pytest -q -n 2 --hypothesis-profile new -m hypothesis tests/unit
+	$(BIN)/python -m tests.fuzz --inputs 100000 --ticks 20000 --seed $$(date +%s)
 
 # Of a follower in steady formation; tests/unit/test_budgets.py holds the budgets of tests/unit/budgets.json.
 tick: .venv/fly.ready

@@ -19,6 +19,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 # The same examples in every run. On a machine with other load the time of one example shows nothing.
 settings.register_profile("quick", deadline=None, derandomize=True, max_examples=30)
 settings.register_profile("thorough", deadline=None, derandomize=True, max_examples=100)  # make test-long
+settings.register_profile(
+    "new", deadline=None, max_examples=500, print_blob=True
+)  # make test-new-inputs: other ones each time
 settings.load_profile("quick")
 
 # A shell that starts the tests in the background has them ignore SIGINT, and every program they start would ignore it, too.

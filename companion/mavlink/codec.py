@@ -210,6 +210,7 @@ class SignedMavlink(mavlink.MAVLink):
 # ---------------------------------------------------------------- packets among bytes
 
 MOST_DAMAGED = 16  # packets of one call; each costs a checksum, and what follows is discarded
+MOST_KEPT = 1024  # bytes of packets of unknown ids that wait for a known one; the longest packet has 280
 
 
 class PacketReader:
@@ -218,11 +219,18 @@ class PacketReader:
     `refused` counts runs of garbage and packets that `refusal` refuses, by code. Behind a damaged packet the search goes on
     one byte later, so that no good packet is lost: pymavlink's own parser skips as many bytes as a damaged packet claims to
     have, and with them the good packets behind it.
+
+    A checksum has 16 bits, and payloads carry whole packets (TUNNEL, FILE_TRANSFER_PROTOCOL, a log). So what is found inside
+    the claimed length of a damaged packet counts only where packet follows packet to beyond its end: then the length was
+    damaged. A packet of unknown id, whose checksum nobody here can compute, counts only between certain boundaries: it follows
+    a verified packet or begins the data, and a verified packet follows it, for which it waits.
     """
 
     def __init__(self, refusal: Callable[[Packet], Code | None] | None = None) -> None:
         self._refusal = refusal
         self._rest = b""
+        self._doubtful = 0  # bytes of `_rest` and what follows that lie inside a damaged packet
+        self._is_certain = True  # `_rest` begins where a packet begins
         self.refused: Counter[str] = Counter()
 
     @property
@@ -233,39 +241,61 @@ class PacketReader:
     def read(self, data: bytes) -> list[Packet]:
         """All packets in the kept bytes and `data`, in order, also those of unknown messages. Never raises."""
         if not self._rest and (packet := read_packet(data)) is not None and packet.message_id != UNKNOWN:
+            self._doubtful, self._is_certain = 0, True
             return [packet] if self._is_admitted(packet) else []  # nearly always
-        if self._rest and _begins_packet(data, 0):  # what was kept is garbage, or lost its other half
-            self.refused[Code.MAVLINK_UNREADABLE] += 1
-            self._rest = b""
-        data = self._rest + data
+        waits = self._is_certain and bool(self._rest) and _known_after(self._rest, 0) == len(self._rest)
+        waits = waits or (
+            bool(self._rest) and _begins_packet(self._rest + data, 0)
+        )  # it carries what the chunk begins with
+        if not waits and _begins_packet(data, 0):  # a chunk begins with a packet
+            if self._rest:  # garbage, or it lost its other half
+                self.refused[Code.MAVLINK_UNREADABLE] += 1
+            self._rest, self._doubtful, self._is_certain = b"", 0, True
+        return self._split(self._rest + data)
+
+    def _split(self, data: bytes) -> list[Packet]:
         packets: list[Packet] = []
         at, damaged, in_garbage = 0, 0, False
+        certain, doubtful_to = self._is_certain, self._doubtful
         while (start := _next_magic(data, at)) < len(data):
+            certain = certain and start == at
             end = _claimed_end(data, start)
             if end > len(data):
                 break  # the rest of this packet is yet to come
             packet = read_packet(data[start:end])
-            if packet is not None and packet.message_id == UNKNOWN and not _ends_well(data, start, end):
-                packet = None
+            if packet is not None and packet.message_id == UNKNOWN:
+                known_at = _known_after(data, start)
+                if certain and known_at is not None and known_at >= len(data) and len(data) - start <= MOST_KEPT:
+                    break  # a known packet is yet to come
+                if not certain or known_at is None or known_at >= len(data) or _contains_others(data, start, end):
+                    packet = None
+            elif packet is not None and start < doubtful_to:
+                leads_beyond = _leads_beyond(data, start, doubtful_to)
+                if leads_beyond is None:
+                    break
+                packet = packet if leads_beyond else None
             if packet is None or start > at:
                 self.refused[Code.MAVLINK_UNREADABLE] += not in_garbage
                 in_garbage = True
             if packet is None:
-                damaged, at = damaged + (end > start), start + 1
+                if start >= doubtful_to:
+                    doubtful_to = end
+                damaged, at, certain = damaged + (end > start), start + 1, False
                 if damaged == MOST_DAMAGED:
                     start = len(data)
                     break
                 continue
             if self._is_admitted(packet):
                 packets.append(packet)
-            at, in_garbage = end, False
+            at, in_garbage, certain, doubtful_to = end, False, True, 0
         if start == len(data) and at < start:
             self.refused[Code.MAVLINK_UNREADABLE] += not in_garbage
-        self._rest = data[start:]
+            certain = False
+        self._rest, self._doubtful, self._is_certain = data[start:], max(0, doubtful_to - start), certain
         return packets
 
     def _is_admitted(self, packet: Packet) -> bool:
-        if self._refusal is None or packet.message_id == UNKNOWN:
+        if self._refusal is None:
             return True
         if code := self._refusal(packet):
             self.refused[code] += 1
@@ -294,24 +324,64 @@ def _claimed_end(data: bytes, start: int) -> int:
     return end + SIGNATURE_BYTES if incompat_flags else end
 
 
+def _packet_at(data: bytes, start: int) -> Packet | None:
+    """The packet that begins here, complete in the data, of a known message with a good checksum or of an unknown one."""
+    if start >= len(data) or data[start] not in OVERHEAD:
+        return None
+    return read_packet(data[start : _claimed_end(data, start)])
+
+
 def _begins_packet(data: bytes, start: int) -> bool:
     """Whether a known packet with a good checksum begins here, complete in the data."""
-    if start >= len(data) or data[start] not in OVERHEAD:
-        return False
-    packet = read_packet(data[start : _claimed_end(data, start)])
+    packet = _packet_at(data, start)
     return packet is not None and packet.message_id != UNKNOWN
 
 
-def _ends_well(data: bytes, start: int, end: int) -> bool:
-    """Whether a packet of unknown id, whose checksum cannot be checked, is followed by another one and contains none."""
-    if end < len(data) and data[end] not in OVERHEAD:
-        return False
+def _known_after(data: bytes, start: int) -> int | None:
+    """Where a known packet begins behind packets of unknown ids that begin at `start`.
+
+    The end of the data where they end there, and a later place where a packet is incomplete. None where something else comes.
+    """
+    at = start
+    while at < len(data) and data[at] in OVERHEAD:
+        end = _claimed_end(data, at)
+        if end > len(data):
+            return end
+        packet = read_packet(data[at:end])
+        if packet is None:
+            return None
+        if packet.message_id != UNKNOWN:
+            return at
+        at = end
+    return at if at == len(data) else None
+
+
+def _leads_beyond(data: bytes, start: int, end: int) -> bool | None:
+    """Whether from `start` known packet follows known packet to beyond `end`; None where the next one is yet to come.
+
+    What a payload carries ends in front of the checksum of its packet, so it never does.
+    """
+    at = start
+    while at <= end:
+        if at == len(data) or (data[at] in OVERHEAD and _claimed_end(data, at) > len(data)):
+            return None
+        if not _begins_packet(data, at):
+            return False
+        at = _claimed_end(data, at)
+    return True
+
+
+def _contains_others(data: bytes, start: int, end: int) -> bool:
+    """Whether known packets fill these bytes to their end: then the length of the packet that claims them is damaged."""
     inner = start + 1
     while (inner := _next_magic(data, inner)) < end:
-        if _begins_packet(data, inner):
-            return False
+        at = inner
+        while at < end and (packet := _packet_at(data, at)) is not None and packet.message_id != UNKNOWN:
+            at += len(packet.data)
+        if at == end:
+            return True
         inner += 1
-    return True
+    return False
 
 
 # ---------------------------------------------------------------- one end of a link

@@ -74,8 +74,7 @@ def test_another_message_passes_as_it_came(packet: bytes) -> None:
     assert bytes(message.get_msgbuf()) == packet
     assert vars(message.get_header()) == vars(known.get_header())
     assert getattr(message, "target_system", None) == getattr(known, "target_system", None)
-    # A packet of an unknown message may seem to begin inside a damaged one.
-    assert MavlinkCodec(1, 191).decode(packet[:-1] + bytes((packet[-1] ^ 1,))) == []
+    assert PacketReader().read(packet[:-1] + bytes((packet[-1] ^ 1,))) == []
 
 
 @CASES
