@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import select
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -141,11 +142,18 @@ def _columns() -> int:
         return 80
 
 
+NEGATIVE_NUMBER = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
+
+
 class LineParser(argparse.ArgumentParser):
     """Reports an argument that cannot be used in one line, without the usage text above it.
 
     An unknown one is reported by the parser of the command, whose help explains it, and not by that of the whole program.
+    Each negative number is a value: argparse itself takes -33. and -3.6e-16 for options.
     """
+
+    def _parse_optional(self, arg_string: str) -> Any:
+        return None if NEGATIVE_NUMBER.fullmatch(arg_string) else super()._parse_optional(arg_string)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         """Ends the program where an argument is unknown."""

@@ -10,7 +10,7 @@ import errno
 import os
 import re
 import stat
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -20,7 +20,7 @@ import yaml
 
 from companion.config.validation import Problem, all_finite, each, examine, in_file_order
 from companion.types.errors import UnusableError
-from companion.types.values import printable
+from companion.types.values import cut, printable, quoted
 
 MAX_BYTES = 128 * 1024  # a fleet of 250 vehicles has 20 kB
 
@@ -47,6 +47,8 @@ def read_regular(path: Path, most_bytes: int = MAX_BYTES) -> tuple[bytes, os.sta
     return content, state
 
 
+LONGEST_KEY, LONGEST_YAML_ERROR = 200, 200  # characters in a message
+MOST_LINES = 50  # of one error: a file of another kind has a line for each of its keys
 MAX_DEPTH = 50  # levels of a file; ours have five
 MAX_VALUES = 10_000  # largest number of values in a file, aliases expanded; 250 vehicles have 2500
 TOO_MANY_VALUES = f"more than {MAX_VALUES} values, counting each alias as what it stands for"
@@ -58,7 +60,7 @@ class ConfigError(UnusableError):
     """A file that cannot be used. str() has one line for each error: file, field, value, what was expected, what to do."""
 
     def __init__(self, file: Path | str, field: str, problem: str) -> None:
-        line = f"{file}: {field}: {problem}" if field else f"{file}: {problem}"
+        line = f"{file}: {cut(field, LONGEST_KEY)}: {problem}" if field else f"{file}: {problem}"
         self.lines: tuple[str, ...] = (printable(line.replace("\n", "\\n")),)
         super().__init__(self.lines[0])
 
@@ -69,7 +71,9 @@ class ConfigError(UnusableError):
     def of(cls, errors: Sequence[ConfigError]) -> ConfigError:
         """The error with the lines of all these."""
         error = cls("", "", "")
-        error.lines = tuple(line for one in errors for line in one.lines)
+        lines = tuple(line for one in errors for line in one.lines)
+        more = (f"and {len(lines) - MOST_LINES} more errors",) if len(lines) > MOST_LINES else ()
+        error.lines = lines[:MOST_LINES] + more
         return error
 
 
@@ -97,9 +101,10 @@ def read_yaml(path: Path) -> Any:
         return yaml.load(text, Loader=StrictLoader)
     except yaml.MarkedYAMLError as error:
         line = f"line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise ConfigError(path, line, f"not valid YAML: {error.problem}") from error
+        raise ConfigError(path, line, f"not valid YAML: {cut(str(error.problem), LONGEST_YAML_ERROR)}") from error
     except yaml.YAMLError as error:
-        raise ConfigError(path, "", "not valid YAML: " + " ".join(str(error).split())) from error
+        problem = cut(" ".join(str(error).split()), LONGEST_YAML_ERROR)
+        raise ConfigError(path, "", f"not valid YAML: {problem}") from error
 
 
 def convert(path: Path, data: Any, type_: type[T], check: Callable[[T], Iterable[Problem]] | None = None) -> T:
@@ -111,9 +116,14 @@ def convert(path: Path, data: Any, type_: type[T], check: Callable[[T], Iterable
         raise ConfigError(path, "", "is empty")
     value, problems = _convert(data, type_)
     if check is not None:
-        problems += each(check(value))
+        problems += each(_of_check(check, value))
     refuse(path, in_file_order(data, problems))
     return value
+
+
+def _of_check(check: Callable[[T], Iterable[Problem]], value: T) -> Iterator[Problem]:
+    """The problems that it finds; called in `each`, as it may need a field of a section that is invalid as a whole."""
+    yield from check(value)
 
 
 def _convert(data: Any, type_: type[T]) -> tuple[T, list[Problem]]:
@@ -140,7 +150,7 @@ class StrictLoader(yaml.SafeLoader):
         event: Any = self.peek_event()  # type: ignore[no-untyped-call]
         anchor, mark = getattr(event, "anchor", None), event.start_mark
         if isinstance(event, yaml.AliasEvent) and anchor in self._open_anchors:
-            raise yaml.constructor.ConstructorError(None, None, f"&{anchor} contains itself", mark)
+            raise yaml.constructor.ConstructorError(None, None, f"&{cut(str(anchor))} contains itself", mark)
         if len(self._open_anchors) >= MAX_DEPTH:
             problem = f"more than {MAX_DEPTH} levels inside each other"
             raise yaml.constructor.ConstructorError(None, None, problem, mark)
@@ -176,7 +186,8 @@ class StrictLoader(yaml.SafeLoader):
                 problem = "a list or a mapping cannot be a key; is a pair of braces meant to be brackets?"
                 raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
             if key in seen:
-                raise yaml.constructor.ConstructorError(None, None, f'key "{key}" is given twice', key_node.start_mark)
+                problem = f'key "{cut(str(key))}" is given twice'
+                raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
             seen.add(key)
         return super().construct_mapping(node, deep)
 
@@ -222,7 +233,6 @@ def read_as(path: Path, *expected: FileKind) -> Any:
 
 
 SET = Path("--set")  # named in errors instead of a file
-LONGEST_KEY = 200
 
 
 def override(data: Any, overrides: Sequence[str], example: str) -> Any:
@@ -242,7 +252,7 @@ def _put(data: Any, override: str, example: str) -> None:
     try:
         value = yaml.load(text, Loader=StrictLoader)
     except yaml.YAMLError as error:
-        raise ConfigError(SET, field, f"{text!r} is not a YAML value") from error
+        raise ConfigError(SET, field, f"{quoted(text)} is not a YAML value") from error
     node, place = data, ""
     for step, following in zip(steps, [*steps[1:], None], strict=True):
         _check_step(node, place, step)
@@ -268,7 +278,7 @@ def _check_step(node: Any, place: str, step: str | int) -> None:
     if isinstance(node, dict):
         return
     if not isinstance(node, list):
-        raise ConfigError(SET, place, f"is {node!r}, which has no keys inside; set it as a whole")
+        raise ConfigError(SET, place, f"is {quoted(node)}, which has no keys inside; set it as a whole")
     if not isinstance(step, int):
         raise ConfigError(
             SET, f"{place}.{step}", f"{place} is a list; expected a number, {place}[0] to [{len(node) - 1}]"

@@ -27,6 +27,7 @@ from companion.config.new_formation import (
 from companion.config.validation import Problem
 from companion.config.vehicle import load_agent, reaches_network
 from companion.types.autopilot import AutopilotKind
+from companion.types.values import quoted
 
 ZENOH_PORT = 7447
 ID_IN_PATTERN = re.compile(r"\{id(?:\+(\d{1,5}))?\}")
@@ -160,12 +161,12 @@ def _addresses(new: NewFleet) -> dict[int, str]:
     for vehicle_id, given in enumerate(_per_vehicle(new.addresses, new.formation.vehicles, "--address"), start=1):
         found = re.fullmatch(r"([A-Za-z0-9._-]+)(?::(\d{1,5}))?", given)
         if not found or not 0 < int(found[2] or ZENOH_PORT) < 65536:
-            problems.append(Problem("--address", f"{given!r}: expected HOST or HOST:PORT"))
+            problems.append(Problem("--address", f"{quoted(given)}: expected HOST or HOST:PORT"))
             continue
         address = f"{found[1]}:{int(found[2] or ZENOH_PORT)}"
         if address in addresses.values():
             hint = "give each vehicle its own, or a pattern with {id}"
-            problems.append(Problem("--address", f"{given!r}: is that of two vehicles; {hint}"))
+            problems.append(Problem("--address", f"{quoted(given)}: is that of two vehicles; {hint}"))
         addresses[vehicle_id] = address
     refuse("companion init", dict.fromkeys(problems))
     return addresses

@@ -32,7 +32,7 @@ from companion.config.reference import (
 from companion.config.validation import Problem
 from companion.config.values import FLEET_NAME_WORDS
 from companion.geometry.formations import reach_m
-from companion.types.values import FLEET_NAME
+from companion.types.values import FLEET_NAME, quoted
 
 ProblemsOf = Callable[[FleetConfig, Reference], Iterable[Problem]]
 """Why a fleet cannot fly a reference."""
@@ -153,7 +153,7 @@ def check_choices(new: NewFormation, command: str) -> None:
     """Raises ConfigError with all choices that are out of bounds; `command` is named instead of a file."""
     problems = []
     if not re.fullmatch(FLEET_NAME, new.name):
-        problems.append(Problem("name", f"{new.name!r}: expected {FLEET_NAME_WORDS}"))
+        problems.append(Problem("name", f"{quoted(new.name)}: expected {FLEET_NAME_WORDS}"))
     for option, value, least, most in (
         ("--vehicles", new.vehicles, 2, MOST_VEHICLES),
         ("--spacing", new.spacing_m, 1, 100),

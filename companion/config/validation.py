@@ -19,6 +19,7 @@ from msgspec import NODEFAULT, Meta, Struct
 from msgspec.structs import FieldInfo, fields
 
 from companion.types.errors import CompanionError
+from companion.types.values import quoted
 
 Arguments = ParamSpec("Arguments")
 T = TypeVar("T")
@@ -164,11 +165,25 @@ def _examine_dict(data: dict[Any, Any], type_: Any, field: str) -> tuple[Any, li
     key_type, value_type = get_args(type_)
     value: dict[Any, Any] = {}
     problems: list[Problem] = []
+    of_keys: list[Problem] = []
     for key, item in data.items():
-        examined, found = examine(key, key_type, _join(field, key))
-        value[key if found else examined], more = examine(item, value_type, _join(field, key))
-        problems += found + more
-    return value, problems
+        examined, wrong = examine(key, key_type, _join(field, key))
+        of_keys += wrong
+        item_value, more = examine(item, value_type, _join(field, key))
+        problems += more
+        if not wrong:
+            value[examined] = item_value
+    if not of_keys:
+        return value, problems
+    return INVALID, [_of_keys(of_keys), *problems]  # without its keys no check of the section means anything
+
+
+def _of_keys(problems: list[Problem]) -> Problem:
+    """The first of them, which stands for all: a file with words for ids has one error, not as many as ids."""
+    field, text = problems[0]
+    quotes = "; a number has no quotes" if text.startswith("'") and text[1 : text.find("'", 1)].isdecimal() else ""
+    more = f" (and {len(problems) - 1} more like it)" if len(problems) > 1 else ""
+    return Problem(field, f"the key {text}{quotes}{more}")
 
 
 def _examine_list(data: list[Any], type_: Any, field: str) -> tuple[Any, list[Problem]]:
@@ -201,7 +216,7 @@ def _wrong_tag(data: Any, type_: Any, field: str) -> Problem | None:
     if key not in data:
         return Problem(_join(field, key), f"missing; expected one of {', '.join(tags)}")
     return Problem(
-        _join(field, key), f"{data[key]!r}: expected one of {', '.join(tags)}{did_you_mean(data[key], tags)}"
+        _join(field, key), f"{quoted(data[key])}: expected one of {', '.join(tags)}{did_you_mean(data[key], tags)}"
     )
 
 
@@ -286,12 +301,12 @@ def _keys_inside(type_: Any, path: str = "") -> dict[str, str]:
 def _explain(value: Any, type_: Any, problem: str) -> str:
     """msgspec's "Expected `float`, got `str`" with the value and what is allowed."""
     if problem.startswith(("Invalid enum value", "Invalid value")) and (choices := _choices(type_)):
-        return f"{value!r}: expected one of {', '.join(choices)}{did_you_mean(value, choices)}"
+        return f"{quoted(value)}: expected one of {', '.join(choices)}{did_you_mean(value, choices)}"
     if "matching regex" in problem:
         formats = (meta.extra["format"] for meta in _annotations(type_) if meta.extra and "format" in meta.extra)
         if wanted := next(formats, None):
-            return f"{value!r}: expected {wanted}"
-    shown = "" if isinstance(value, dict | list) else f"{value!r}: "
+            return f"{quoted(value)}: expected {wanted}"
+    shown = "" if isinstance(value, dict | list) else f"{quoted(value)}: "
     text = re.sub("`([^`]*)`", lambda found: " or ".join(YAML_NAMES.get(n, n) for n in found[1].split(" | ")), problem)
     return shown + text[:1].lower() + text[1:] + _as_yaml_number(value)
 
@@ -321,7 +336,7 @@ def _join(field: str, key: object) -> str:
 def _position(data: Any, field: str) -> list[int]:
     """Position of a field in a file: the index of each step of its path."""
     position = []
-    for name, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", field):
+    for name, index in re.findall(r"([^.\[\]]+)|\[(\d{1,9})\]", field):
         keys = [str(key) for key in data] if isinstance(data, dict) else []
         at = int(index) if index else keys.index(name) if name in keys else len(keys)
         position.append(at)

@@ -3,7 +3,7 @@
 import re
 
 from companion.types.errors import RefusedCommandError
-from companion.types.values import FLEET_NAME
+from companion.types.values import FLEET_NAME, quoted
 
 
 class MonitorError(RefusedCommandError):
@@ -13,4 +13,6 @@ class MonitorError(RefusedCommandError):
 def check_fleet_name(name: str) -> None:
     """Raises MonitorError for a name that no fleet file may have, and that is not * for every fleet."""
     if name != "*" and not re.fullmatch(FLEET_NAME, name):
-        raise MonitorError(f"--fleet {name!r}: expected the name in a fleet file, like platoon, or * for every fleet")
+        raise MonitorError(
+            f"--fleet {quoted(name)}: expected the name in a fleet file, like platoon, or * for every fleet"
+        )

@@ -37,6 +37,7 @@ from companion.monitor.api import CommandRequest, ControlView
 from companion.monitor.command_requests import reference_forms
 from companion.monitor.commander import Commander
 from companion.monitor.station import Station
+from companion.types.values import quoted
 
 LONGEST_BODY = 64 * 1024  # bytes: a formation of 250 vehicles has 15 kB
 VIEW_ONLY = "this server shows and does not command; start it with: companion monitor --control"
@@ -251,7 +252,7 @@ def listen_address(text: str) -> Address:
     """Raises ValueError with what was expected."""
     found = LISTEN.fullmatch(text)
     if not found or int(found[2]) > 65535:
-        raise ValueError(f"{text!r}: expected {LISTEN_WORDS}")
+        raise ValueError(f"{quoted(text)}: expected {LISTEN_WORDS}")
     return Address(found[1] or "127.0.0.1", int(found[2]))
 
 

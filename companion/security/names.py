@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
-from companion.types.values import FLEET_NAME, MAX_VEHICLES
+from companion.types.values import FLEET_NAME, MAX_VEHICLES, quoted
 
 MAX_GENERATION = 9999
 FORM = re.compile(r"(?P<participant>(?P<role>[a-z]+)-(?P<id>[A-Za-z0-9_-]+))(?:\.(?P<generation>[1-9][0-9]{0,3}))?")
@@ -57,7 +57,7 @@ def participant_name(role: ParticipantRole, id_: str | int, generation: int = 1)
     too_high = role is ParticipantRole.VEHICLE and text.isdecimal() and int(text) > MAX_VEHICLES
     pattern, words = IDS[role]
     if not re.fullmatch(pattern, text) or too_high:
-        raise ValueError(f"{text!r}, expected {words}")
+        raise ValueError(f"{quoted(text)}, expected {words}")
     if not 1 <= generation <= MAX_GENERATION:
         raise ValueError(f"generation {generation}, expected 1 to {MAX_GENERATION}")
     return ParticipantName(role, text, generation)
@@ -68,8 +68,8 @@ def parse_common_name(text: str) -> ParticipantName:
     found = FORM.fullmatch(text)
     if found is None or found["role"] not in list(ParticipantRole) or found["generation"] == "1":
         roles = ", ".join(ParticipantRole)
-        raise ValueError(f"{text!r}, expected ROLE-ID or ROLE-ID.GENERATION with one of the roles {roles}")
+        raise ValueError(f"{quoted(text)}, expected ROLE-ID or ROLE-ID.GENERATION with one of the roles {roles}")
     try:
         return participant_name(ParticipantRole(found["role"]), found["id"], int(found["generation"] or 1))
     except ValueError as error:
-        raise ValueError(f"{text!r}: {error}") from None
+        raise ValueError(f"{quoted(text)}: {error}") from None

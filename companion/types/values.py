@@ -54,6 +54,19 @@ def printable_lines(text: str) -> str:
     return "\n".join(map(printable, text.split("\n")))
 
 
+LONGEST_QUOTE = 60  # characters of a value in a message
+
+
+def cut(text: str, most: int = LONGEST_QUOTE) -> str:
+    """The text, or the beginning of a longer one with three dots."""
+    return text if len(text) <= most else text[:most] + "..."
+
+
+def quoted(value: object) -> str:
+    """A value of a file or an argument in a message: a message never has a whole file in it."""
+    return cut(repr(value))
+
+
 class Part(Struct, frozen=True, gc=False):
     """A part of a message. In bytes and in recordings its fields stand in its place, so that the message is flat."""
 

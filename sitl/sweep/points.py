@@ -14,6 +14,7 @@ from companion.config.file import ConfigError, StrictLoader
 from companion.config.reference import TargetReference
 from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
+from companion.types.values import quoted
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.sweep.options import MAX_FLIGHTS, SHORTEST_S
 
@@ -80,9 +81,9 @@ def _choice(key: str, text: str) -> Choice:
     try:
         value = yaml.load(text, Loader=StrictLoader)
     except yaml.YAMLError as error:
-        raise ConfigError(VARY, key, f"{text!r} is not a YAML value") from error
+        raise ConfigError(VARY, key, f"{quoted(text)} is not a YAML value") from error
     if not isinstance(value, bool | int | float | str):
-        raise ConfigError(VARY, key, f"{text!r}: expected a number, true, false or a string")
+        raise ConfigError(VARY, key, f"{quoted(text)}: expected a number, true, false or a string")
     return Choice(text, value)
 
 

@@ -34,6 +34,16 @@ def test_a_wrong_argument_of_companion_is_one_line(
     assert capsys.readouterr().err == f"{line}\n"
 
 
+@pytest.mark.parametrize(
+    ("words", "value"), [("-3.6e-16 5 4", [-3.6e-16, 5.0, 4.0]), ("-33. -.5 -1E+2", [-33.0, -0.5, -100.0])]
+)
+def test_each_negative_number_is_a_value_of_an_option(words: str, value: list[float]) -> None:
+    read = companion.cli.main.parser().parse_args(["fleet", "reference", "point", "--at", *words.split()])
+    assert read.at == [value]
+    read = companion.cli.main.parser().parse_args(["init", "folder", "--vehicles", "2", "--origin", *words.split()])
+    assert [float(word) for word in read.origin] == value
+
+
 def test_control_characters_of_an_argument_are_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         companion.cli.main.main(["monitor", "--x\n\x1b[2J"])

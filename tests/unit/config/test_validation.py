@@ -42,6 +42,40 @@ def order(plan: Plan) -> Iterator[Problem]:
         yield Problem("last_s", "is before first_s")
 
 
+@pytest.mark.parametrize(
+    ("keys", "line"),
+    [
+        ({"one": 1.0, "two": 2.0}, "heights_m.one: the key 'one': expected int, got str (and 1 more like it)"),
+        ({"1": 1.0}, "heights_m.1: the key '1': expected int, got str; a number has no quotes"),
+        ({0: 1.0, 2: 2.0}, "heights_m.0: the key 0: expected int >= 1"),
+        ({None: 1.0}, "heights_m.None: the key None: expected int, got null"),
+    ],
+)
+def test_keys_that_are_no_ids_are_one_error_and_no_check_uses_them(keys: dict[Any, float], line: str) -> None:
+    def check(plan: Plan) -> Iterator[Problem]:
+        yield from (Problem("heights_m", "unsorted") for _ in sorted({1} ^ plan.heights_m.keys()))
+
+    assert lines_of({"first_s": 1.0, "last_s": 2.0, "heights_m": keys}, check) == [line]
+
+
+@pytest.mark.parametrize("data", [[[0, 0, 0]], "1,0,0,0\n2,3,0,0", 7, True])
+def test_a_file_that_is_no_section_is_one_error_where_a_check_needs_it(data: Any) -> None:
+    (line,) = lines_of(data, lambda plan: order(plan) if plan.name else ())
+    assert "expected a section with keys" in line
+
+
+def test_no_message_quotes_a_whole_file() -> None:
+    long = "x" * 100_000
+    for data in (
+        long,
+        {"first_s": long, "last_s": 1},
+        {long: 1},
+        {"first_s": 1, "last_s": 2, "areas": [{"kind": long}]},
+    ):
+        assert all(len(line) < 1000 for line in lines_of(data))
+    assert len(lines_of({f"key{n}": n for n in range(1000)})) < 60
+
+
 def test_all_errors_are_reported_in_file_order() -> None:
     data = {
         "areas": [
@@ -64,7 +98,7 @@ def test_all_errors_are_reported_in_file_order() -> None:
         "areas[4].kind: missing; expected one of disc, point",
         "last_s: 'late': expected float, got str",
         'nam: unknown key; did you mean "name"?',
-        "heights_m.0: 0: expected int >= 1",
+        "heights_m.0: the key 0: expected int >= 1",
         "heights_m.2: 'high': expected float, got str",
         "first_s: missing; this key is required",
     ]

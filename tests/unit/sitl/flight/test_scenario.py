@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from common import ROOT
 from companion.config.file import ConfigError, read_yaml
 from companion.config.fleet import EdgeNeighbours, RangeNeighbours
+from companion.types.values import quoted
 from sitl.flight.scenario import load_scenario, scenario_from
 
 SCENARIOS = ROOT / "config" / "scenarios"
@@ -282,7 +283,7 @@ def test_an_override_without_a_value_is_refused() -> None:
 
 def test_an_override_is_checked_like_the_file() -> None:
     for value in ("2024-13-45", "!!float foo", "&a [*a]", "[" * 3000, "9" * 5000, "{[1, 2], [2, 3]}"):
-        assert error_of(f"fleet.name={value}") == f"--set: fleet.name: {value!r} is not a YAML value"
+        assert error_of(f"fleet.name={value}") == f"--set: fleet.name: {quoted(value)} is not a YAML value"
     assert "expected KEY=VALUE" in error_of(f"timeline[{'9' * 5000}].for_s=1")
     assert error_of("fleet.vehicles[1].id=1").startswith("--set: fleet.vehicles[1].id: 1 is used twice")
 
