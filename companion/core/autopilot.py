@@ -54,7 +54,8 @@ class Procedure:
 
     `done` counts only after `settle_s`, as a request under way may still change the state, and only from telemetry newer than
     the first request (`truth_time`). With `acceptance_counts` an accepted COMMAND_ACK ends the repetition, too. A request that
-    is not `taken` within `taken_within_s` has failed, before `timeout_s`.
+    is not `taken` within `taken_within_s` has failed, before `timeout_s`, and so has one that is not taken for
+    `refused_for_s` after a COMMAND_ACK has refused it.
     """
 
     request: AutopilotRequest
@@ -67,6 +68,7 @@ class Procedure:
     repeat_s: float = 0.5
     acceptance_counts: bool = False
     taken_within_s: float = inf
+    refused_for_s: float = inf
 
 
 @dataclass(slots=True)
@@ -79,6 +81,7 @@ class RunningProcedure:
     _sent_s: float | None = None
     _accepted: bool = False
     _refusal: str = ""  # text of the last refusing COMMAND_ACK
+    _refused_s: float = inf  # when the first refusing one came
     _texts: tuple[str, ...] = ()  # STATUSTEXT received meanwhile, newest last
 
     def __post_init__(self) -> None:
@@ -95,6 +98,7 @@ class RunningProcedure:
                 self._accepted = sample.accepted
                 if not sample.accepted:
                     self._refusal = sample.reason
+                    self._refused_s = min(self._refused_s, sample.received_s)
             elif isinstance(sample, TextSample) and sample.severity <= 4:  # MAV_SEVERITY_WARNING and worse
                 others = [text for text in self._texts if text != sample.text]
                 self._texts = (*others, sample.text)[-TEXTS_KEPT:]
@@ -104,7 +108,8 @@ class RunningProcedure:
         new = self._sent_s is not None and self.procedure.truth_time(vehicle) > self._sent_s
         if new and elapsed_s >= self.procedure.settle_s and self.procedure.done(vehicle):
             return Progress.DONE
-        refused = elapsed_s > self.procedure.taken_within_s and not self.procedure.taken(vehicle)
+        overdue = elapsed_s > self.procedure.taken_within_s or now_s - self._refused_s > self.procedure.refused_for_s
+        refused = overdue and not self.procedure.taken(vehicle)
         return Progress.FAILED if refused or elapsed_s > self.procedure.timeout_s else Progress.PENDING
 
     def due(self, now_s: float, vehicle: VehicleState) -> tuple[AutopilotRequest, ...]:
@@ -236,8 +241,9 @@ _heartbeat_time_s: Callable[[VehicleState], float] = attrgetter("heartbeat_time_
 def hold(_vehicle: VehicleState, _height_m: float) -> Procedure:
     """The autopilot's own hold."""
     # settle_s: an OFFBOARD request sent just before the hold may still arrive after the hold looked done.
+    # refused_for_s: two more requests. A vehicle that cannot hold drifts until something else is asked of it.
     held = mode_is(M.HOLD)
-    return Procedure(SetMode(M.HOLD), held, held, mode_time_s, timeout_s=5.0, settle_s=0.2)
+    return Procedure(SetMode(M.HOLD), held, held, mode_time_s, timeout_s=5.0, settle_s=0.2, refused_for_s=1.0)
 
 
 def arm(_vehicle: VehicleState, _height_m: float) -> Procedure:

@@ -72,7 +72,8 @@ class FailsafeAction(IntEnum):
 class Rule:
     """A command: the phases that allow it, the phase while it runs, the phase after it, and the phase after a failure.
 
-    After a failure that leads to RELEASE the agent requests a hold.
+    After a failure that leads to RELEASE the agent requests a hold, after one that leads to LAND a landing. What began in
+    OBSERVE fails to OBSERVE: there the vehicle is another's.
     """
 
     allowed: frozenset[FlightPhase]
@@ -90,7 +91,7 @@ RULES: dict[CommandName, Rule] = {
     C.ARM: Rule(frozenset({P.READY}), P.ARM, P.ARMED, P.READY, True),
     C.TAKEOFF: Rule(frozenset({P.ARMED}), P.TAKEOFF, P.HOLD, P.OBSERVE, True),
     C.FORM: Rule(frozenset({P.HOLD}), P.ENGAGE, P.FORMATION, P.HOLD, False),
-    C.HOLD: Rule(FLYING | {P.OBSERVE}, P.RELEASE, P.HOLD, P.OBSERVE, False),
+    C.HOLD: Rule(FLYING | {P.OBSERVE}, P.RELEASE, P.HOLD, P.LAND, False),
     C.LAND: Rule(FLYING | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, False),
     C.RETURN: Rule(STREAMING | {P.HOLD, P.RELEASE}, P.RETURN, P.OBSERVE, P.RELEASE, False),
     C.DISARM: Rule(ON_GROUND | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, True),
@@ -120,7 +121,8 @@ class Flight(Struct, frozen=True, gc=False):
     """The flight phase and what follows from it in this tick.
 
     `streams`: attitude targets go out. `in_formation`: formation is flown or being left, so mission time runs. `on_ground`:
-    before a take-off or after a landing. `levels`: level attitude of a hand-over. `commanded`: a command was executed.
+    before a take-off or after a landing. `levels`: level attitude of a hand-over. `descends`: the autopilot does not take over
+    to land, and the agent lowers the vehicle, level. `commanded`: a command was executed.
     """
 
     phase: FlightPhase = FlightPhase.OBSERVE
@@ -128,6 +130,7 @@ class Flight(Struct, frozen=True, gc=False):
     in_formation: bool = False
     on_ground: bool = True
     levels: bool = False
+    descends: bool = False
     commanded: bool = False
     requests: tuple[AutopilotRequest, ...] = ()
     answers: tuple[tuple[int, Answer], ...] = ()

@@ -44,6 +44,7 @@ class Incidents:
         self._resets = sorted((r for r in stand_in.estimator_resets if r.vehicle == file.id), key=lambda r: r.at_s)
         self._batteries = sorted((b for b in stand_in.batteries if b.vehicle == file.id), key=lambda b: b.at_s)
         self._flights = sorted((p for p in stand_in.pilots if p.vehicle == file.id), key=lambda p: p.at_s)
+        self._refusals = [r for r in stand_in.refusals if r.vehicle == file.id]
         self.course: Course | None = None
         self.next_s = self._next_s()  # when the next reset or pilot is due
 
@@ -65,6 +66,10 @@ class Incidents:
         self.course = Course((nan, nan, nan), self._flights.pop(0).velocity_enu_m_s, nan, 0.0)
         self.next_s = self._next_s()
         return True
+
+    def refuses(self, mode_name: str, now_s: float) -> bool:
+        """Whether a change to this mode is refused now."""
+        return any(refusal.at_s <= now_s and mode_name in refusal.modes for refusal in self._refusals)
 
     def battery_percent(self, now_s: float) -> int:
         """The reported charge, -1 if it is unknown."""

@@ -129,6 +129,17 @@ class PilotedFlight(Section, frozen=True):
     velocity_enu_m_s: PositionM
 
 
+class ModeRefusal(Section, frozen=True):
+    """Mode changes that one flying autopilot refuses, as without a position.
+
+    modes: names of its modes, as PX4's LOITER or ArduCopter's BRAKE
+    """
+
+    vehicle: VehicleId
+    at_s: FlightTime
+    modes: Annotated[tuple[str, ...], Meta(min_length=1)]
+
+
 class StandIn(Section, frozen=True):
     """The simulated vehicles of a scenario, and the wind.
 
@@ -140,6 +151,7 @@ class StandIn(Section, frozen=True):
     estimator_resets: steps in position estimates
     batteries: battery charges; without any, they are full
     pilots: vehicles that a pilot takes over
+    refusals: mode changes that autopilots refuse from then on
     parameters: autopilot parameters by name, for those that the stand-in has
     """
 
@@ -152,6 +164,7 @@ class StandIn(Section, frozen=True):
     estimator_resets: tuple[EstimatorReset, ...] = ()
     batteries: tuple[BatteryLevel, ...] = ()
     pilots: tuple[PilotedFlight, ...] = ()
+    refusals: tuple[ModeRefusal, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
 
     def sensor_model(self) -> Sensors:

@@ -22,12 +22,15 @@ every tick (`observe`), and a command is a request that is repeated until teleme
   - The stream of setpoints has no gap. It begins before the autopilot is asked to follow it (ENGAGE), since PX4 takes OFFBOARD
     only from a running stream; and it goes on, level, after the autopilot was asked to hold (RELEASE), until telemetry reports
     the hold. An autopilot that missed its setpoints would start its own failsafe in between.
+  - An autopilot that has lost its position refuses to hold and to return. Then the next safe action follows: a refused return
+    becomes a hold, a refused hold a landing; and where the landing is refused, too, setpoints lower the vehicle, level.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import replace
+from math import inf
 
 from msgspec import Struct
 
@@ -52,6 +55,7 @@ P, M, C = FlightPhase, AutopilotMode, CommandName
 
 LEVEL_BEFORE_HAND_OVER_S = 0.25  # autopilots begin their own hold level, from any attitude
 TAKES_OVER_WITHIN_S = 0.25  # both autopilots take over within 50 ms of the request
+LANDS_WITHIN_S = 1.5  # after three requests to land the agent lowers the vehicle itself
 
 FLOWN_BY_OTHERS = frozenset({M.LAND, M.RETURN, M.OTHER})  # while the agent observes: by a pilot or a failsafe
 MUST_BE_ARMED = {P.ARMED} | FLYING - TO_THE_GROUND
@@ -92,6 +96,8 @@ class PhaseMachine:
         self._rule: Rule | None = None
         self._running: RunningProcedure | None = None
         self._leaving_formation = False
+        self._began_in = P.OBSERVE  # the phase in which the procedure under way began
+        self._descends_from_s = inf  # while a landing is asked for
         self._level_until_s = float("-inf")  # until then level attitude is streamed, before another mode takes over
         self._tolerated: frozenset[AutopilotMode] = frozenset()
         self.events: list[Notice] = []
@@ -107,6 +113,10 @@ class PhaseMachine:
     def hands_over_level(self, now_s: float) -> bool:
         """In a hand-over from formation, until the autopilot should have taken over."""
         return self._leaving_formation and now_s < self._level_until_s
+
+    def descends(self, now_s: float) -> bool:
+        """The autopilot does not take over to land: the stream goes on, and lowers the vehicle."""
+        return self._leaving_formation and now_s > self._descends_from_s
 
     def command(self, name: CommandName, now_s: float, vehicle: VehicleState) -> Answer:
         """(accepted, reason). A command that is under way or done already is accepted again."""
@@ -208,6 +218,7 @@ class PhaseMachine:
             in_formation=phase is FORMATION or (self._leaving_formation and phase is P.RELEASE),
             on_ground=not vehicle.armed or phase in ON_GROUND,
             levels=self.hands_over_level(now_s),
+            descends=self.descends(now_s),
             commanded=commanded,
             requests=requests,
             answers=answers,
@@ -276,18 +287,28 @@ class PhaseMachine:
         if self._running is None or self._rule is None:
             return ()
         self._running.receive(telemetry)
+        if vehicle.landed is LandedState.ON_GROUND and self._rule is LANDING and self.descends(now_s):
+            self._begin(C.DISARM, now_s, vehicle, Notice(Code.PHASE_CHANGED, "lowered to the ground"))
         match self._running.progress(now_s, vehicle):
             case Progress.DONE:
                 self._enter(self._rule.to)
                 return ()
             case Progress.FAILED:
                 failure = Notice(Code.PROCEDURE_FAILED, f"{self.phase} failed: {self._running.reason}")
-                if self._rule.on_failure is P.RELEASE:
-                    self._begin(C.HOLD, now_s, vehicle, failure)
-                else:
-                    self._enter(self._rule.on_failure, failure)
+                self._fail(self._rule, now_s, vehicle, failure)
                 return ()
         return self._running.due(now_s, vehicle)
+
+    def _fail(self, rule: Rule, now_s: float, vehicle: VehicleState, failure: Notice) -> None:
+        """The next safe action, or the phase after the failure."""
+        if self._began_in is P.OBSERVE:
+            self._enter(P.OBSERVE, failure)
+        elif rule.on_failure is P.RELEASE:
+            self._begin(C.HOLD, now_s, vehicle, failure)
+        elif rule.on_failure is P.LAND or (rule is LANDING and self.streams(vehicle)):
+            self._begin(C.LAND, now_s, vehicle, failure)
+        else:
+            self._enter(rule.on_failure, failure)
 
     def _begin(
         self,
@@ -304,7 +325,9 @@ class PhaseMachine:
             procedure = replace(procedure, delay_s=level_first_s)
             self._level_until_s = now_s + level_first_s + TAKES_OVER_WITHIN_S
         running = RunningProcedure(procedure, now_s)
+        self._began_in, descends_from_s = self.phase, min(self._descends_from_s, now_s + LANDS_WITHIN_S)
         self._enter(rule.via, reason)
+        self._descends_from_s = descends_from_s if rule.via is P.LAND else inf
         self._rule = rule
         self._leaving_formation = leaving
         self._tolerated = frozenset({vehicle.mode}) | ({M.OFFBOARD} if leaving else frozenset())
@@ -320,6 +343,7 @@ class PhaseMachine:
         self._rule = None
         self._running = None
         self._leaving_formation = False
+        self._descends_from_s = inf
         self._tolerated = frozenset()
         self._seen = ()
 

@@ -20,6 +20,7 @@ from companion.core.consensus.law import (
     target,
 )
 from companion.core.consensus.stage import Consensus
+from companion.core.control.descent import Descent
 from companion.core.estimation.wind import DisturbanceObserver, FlightSample
 from companion.core.filter.filter import SafetyFilter
 from companion.core.formation.guidance import Guidance
@@ -90,6 +91,7 @@ class SetpointStage:
         self._separation = UNFILTERED  # what the filter reported with the last setpoint
         self._removed_m_s2 = 0.0  # from the acceleration that the law wants, by other vehicles
         self._kept_off = KeptOff()
+        self._descent = Descent()
 
     def step(
         self,
@@ -109,10 +111,13 @@ class SetpointStage:
             self._safety_filter.receive(now_s, vehicle, traffic)
         if flight.streams and not before.streams:
             stream.open(now_s, vehicle)
+            self._descent.restart()
         attitude_target = None
         if flight.streams and not silent:
             if phase is ENGAGE:  # the autopilot has not taken the stream yet
                 attitude_target = self._carry_on(now_s, vehicle)
+            elif flight.descends:  # unfiltered, as a landing of the autopilot
+                attitude_target = stream.follow(now_s, vehicle, self._descent.acceleration_enu_m_s2(now_s, vehicle))
             elif vehicle.position_time_s > stream.position_used_s:  # a decision needs a new position
                 safe = self._safety_filter.step(
                     now_s,

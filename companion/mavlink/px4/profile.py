@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from math import inf
+
 from companion.core.autopilot import (
     HOVER,
     MODES,
@@ -34,6 +37,11 @@ P, M, C = FlightPhase, AutopilotMode, CommandName
 
 STREAM_BEFORE_OFFBOARD_S = 0.3  # PX4 takes OFFBOARD only from a running stream
 OVERRIDE_IN_OFFBOARD = 2  # bit 1 of COM_RC_OVERRIDE
+
+
+def _hold_on_ground(vehicle: VehicleState, height_m: float) -> Procedure:
+    # Nothing drifts there: a refusal may pass, as while PX4 starts.
+    return replace(hold(vehicle, height_m), refused_for_s=inf)
 
 
 def _enter_offboard(_vehicle: VehicleState, _height_m: float) -> Procedure:
@@ -150,7 +158,7 @@ PROFILE = AutopilotProfile(
         P.ENGAGE: frozenset({M.HOLD, M.OFFBOARD}),
         P.FORMATION: frozenset({M.OFFBOARD}),
     },
-    procedures=PROCEDURES | {C.PREPARE: hold, C.TAKEOFF: _take_off, C.FORM: _enter_offboard},
+    procedures=PROCEDURES | {C.PREPARE: _hold_on_ground, C.TAKEOFF: _take_off, C.FORM: _enter_offboard},
     flies_on_in_silence=False,  # COM_OF_LOSS_T after the last setpoint its own failsafe acts
     parameters=PARAMETERS,
     decide_in_silence=("COM_OF_LOSS_T", "COM_OBL_RC_ACT"),

@@ -134,7 +134,8 @@ class ArduCopter(Autopilot):
         if self.armed and mode is not self.mode:
             if mode is CopterMode.AUTO:
                 return "Mode change to AUTO failed: init failed"  # there is no mission
-            if mode in NEED_A_POSITION and not self.has_position:
+            refused = self._incidents.refuses(mode.name, self.time_s)
+            if refused or (mode in NEED_A_POSITION and not self.has_position):
                 return f"Mode change to {mode.name} failed: requires position"
         if mode is not self.mode:
             self._enter(mode)

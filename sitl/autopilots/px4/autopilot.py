@@ -186,7 +186,7 @@ class Px4(Autopilot):
     def set_mode(self, mode: Px4Mode, takeoff_altitude_amsl_m: float | None = None) -> bool:
         """A mode change on request. Disarmed, every mode is accepted; armed, the mode must be able to fly the vehicle."""
         can_fly = mode not in NEED_A_PILOT | {Px4Mode.MISSION} and (mode is not Px4Mode.OFFBOARD or self.streaming)
-        if self.armed and not can_fly:
+        if self.armed and (not can_fly or self._incidents.refuses(mode.name, self.time_s)):
             return False
         if mode is not self.mode or takeoff_altitude_amsl_m is not None:
             self.takeoff_altitude_amsl_m = takeoff_altitude_amsl_m

@@ -385,3 +385,56 @@ def test_a_mode_reported_twice_a_second_is_not_stale() -> None:
     assert HealthFlag.MODE_STALE not in flags
     silent = health_flags(10.0, replace(vehicle, mode_time_s=10.0 - 0.9), limits)
     assert HealthFlag.MODE_STALE in silent
+
+
+def refused(machine: PhaseMachine, vehicle: VehicleState, now_s: float, for_s: float) -> float:
+    """Let the autopilot refuse each change of mode for this time, and change nothing."""
+    answer: tuple[AckSample, ...] = ()
+    for _ in range(round(for_s / 0.02)):
+        now_s += 0.02
+        asked = tick(machine, now_s, vehicle, answer)
+        answer = (AckSample(now_s, (SetMode,), False, "DO_SET_MODE failed"),) if asked else ()
+    return now_s
+
+
+def test_a_refused_hold_becomes_a_landing_and_a_refused_landing_a_descent_with_setpoints() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
+    machine.hand_over(now_s, autopilot.state, REASON)
+    now_s = refused(machine, autopilot.state, now_s, 2.0)
+    assert machine.phase is FlightPhase.LAND
+    assert "hold" not in machine.events[-1].text and "DO_SET_MODE failed" in machine.events[-1].text
+    assert machine.streams(autopilot.state) and not machine.descends(now_s)
+    now_s = refused(machine, autopilot.state, now_s, 2.0)
+    assert machine.streams(autopilot.state) and machine.descends(now_s)
+    now_s = refused(machine, autopilot.state, now_s, 200.0)  # longer than a landing may take
+    assert machine.phase is FlightPhase.LAND and machine.descends(now_s)
+    landed = replace(autopilot.state, landed=LandedState.ON_GROUND)
+    assert tick(machine, now_s, landed, ()) == (Disarm(),)
+    assert machine.descends(now_s)  # it would take off again
+    tick(machine, now_s + 0.02, replace(landed, armed=False), ())
+    assert machine.phase is FlightPhase.OBSERVE and not machine.streams(landed)
+
+
+def test_a_landing_that_the_autopilot_takes_is_not_flown_with_setpoints() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
+    machine.hand_over(now_s, autopilot.state, REASON)
+    now_s = refused(machine, autopilot.state, now_s, 2.0)
+    landing = replace(autopilot.state, mode=AutopilotMode.LAND)
+    tick(machine, now_s + 5.0, landing, ())
+    assert not machine.streams(landing) and not machine.descends(now_s + 5.0)
+
+
+def test_a_hold_that_the_autopilot_ignores_becomes_a_landing_too() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
+    machine.hand_over(now_s, autopilot.state, REASON)
+    for count in range(260):
+        tick(machine, now_s + 0.02 * count, autopilot.state, ())
+    assert machine.phase is FlightPhase.LAND
+
+
+def test_a_vehicle_that_another_flies_is_left_to_it_when_a_hold_is_refused() -> None:
+    machine = PhaseMachine(2.5, PROFILES)
+    piloted = replace(AIR, mode=AutopilotMode.OTHER, mode_name="POSCTL")
+    assert machine.command(CommandName.HOLD, 0.0, piloted)[0]
+    refused(machine, piloted, 0.0, 2.0)
+    assert machine.phase is FlightPhase.OBSERVE
