@@ -2,6 +2,9 @@
 
 A change begins at a mission time, and only if every fresh peer holds the same change: a vehicle that missed it would be in
 the path of the others. On the ground mission time does not run and nothing moves, so there a change applies at once.
+
+While a vehicle that began the change with this one is silent, the slots slow down to a stop and wait: on both sides of a split
+network the vehicles would otherwise fly on across each other's paths unseen. They go on when it is heard again.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from companion.core.paced import BEING_CHECKED, PENDING, Pending
 from companion.core.reference.agreement import Agreement
 from companion.geometry.curves import rest_to_rest
 from companion.geometry.formations import reach_m
-from companion.geometry.vectors import plus
+from companion.geometry.vectors import plus, scaled
 from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Answer, Code, Notice, accept
@@ -25,6 +28,8 @@ from companion.types.values import MAX_CHANGE_S, MIN_CHANGE_S, ZERO3, Vector3
 
 # Time until every vehicle knows who has accepted a change: each cancels it at its beginning where another one lacks it.
 AGREED_WITHIN_S = 0.3
+WAITS_S = 10.0  # for so long slots wait for silent vehicles; one that is silent longer has handed over to its autopilot
+SLOWS_IN_S = 0.5  # from the full pace of a change to its stop
 Check = Callable[[Steps[Notice | None]], Notice | Pending | None]
 """Does the expensive part of the checks of a change; PENDING where that takes more ticks."""
 
@@ -44,6 +49,9 @@ class SlotPlan:
         )
         self._path: tuple[Path, float] | None = None  # into the slot, and when it begins on this vehicle's clock
         self.flown = FlownSlot(slots_enu_m[own_id])
+        self._movers: set[int] = set()  # the others in formation when the change began
+        self._pace = 1.0  # of the change; 0 while it waits
+        self._behind_s = 0.0  # by waiting
 
     def change(
         self,
@@ -129,7 +137,12 @@ class SlotPlan:
 
     def is_settled(self, reference_s: float) -> bool:
         """Whether no change waits, and the formation flown has been reached."""
-        return self._agreement.waiting is None and reference_s >= self._flown.begins_s + self._flown.lasts_s
+        return self._agreement.waiting is None and reference_s >= self._ends_s
+
+    @property
+    def _ends_s(self) -> float:
+        """Mission time at which the formation flown is taken up, if nothing waits any more."""
+        return self._flown.begins_s + self._flown.lasts_s + self._behind_s
 
     def to_pass_on(self, others: Iterable[PeerPacket]) -> FormationChange | None:
         """The change that a leader sends to its peers. `others` are all fresh peers.
@@ -154,15 +167,20 @@ class SlotPlan:
         agreement = self._agreement
         if reference_s < agreement.reference_s and agreement.falls_back(reference_s):
             events = self.restart()
-        agreement.reference_s = reference_s
+        step_s, agreement.reference_s = max(0.0, reference_s - agreement.reference_s), reference_s
         if agreement.waiting and (due := agreement.take_due(reference_s)):
             events += self._begin(due, others, in_formation)
         flown, own_id = self._flown, self._own_id
-        elapsed_s = reference_s - flown.begins_s
+        elapsed_s = reference_s - flown.begins_s - self._behind_s
+        if self._movers and 0.0 < elapsed_s < flown.lasts_s:
+            events += self._keep_pace(step_s, others)
+            elapsed_s = reference_s - flown.begins_s - self._behind_s
         if elapsed_s > 0.0 and elapsed_s >= flown.lasts_s:
             motion = (self.slots_enu_m[own_id], ZERO3, ZERO3)
         else:
             motion = rest_to_rest(self._before_enu_m[own_id], self.slots_enu_m[own_id], elapsed_s, flown.lasts_s)
+        if (pace := self._pace) < 1.0:
+            motion = (motion[0], scaled(motion[1], pace), scaled(motion[2], pace * pace))
         moves_for_s = flown.lasts_s - elapsed_s if motion[1] != ZERO3 else 0.0
         if self._path:
             (delta, lasts_s), begun_s = self._path
@@ -191,7 +209,24 @@ class SlotPlan:
             return self._agreement.cancel(waiting, reason)
         text = f"formation {self._flown.number} -> {waiting.number}"
         self._take(waiting)
+        self._movers = (present - {self._own_id}) if in_formation else set()
         return (Notice(Code.FORMATION_CHANGED, text),)
+
+    def _keep_pace(self, step_s: float, others: Collection[PeerPacket]) -> tuple[Notice, ...]:
+        """Slow down to a stop while a vehicle is silent that began this change with this one; the event where it begins."""
+        heard = {other.sender.vehicle_id: other.phase in STREAMING for other in others}
+        self._movers = {i for i in self._movers if heard.get(i, True)}  # one that left formation is only avoided
+        silent = sorted(self._movers - heard.keys())
+        if not silent and self._pace == 1.0:
+            return ()
+        before, share = self._pace, step_s / SLOWS_IN_S
+        waits = silent and self._behind_s < WAITS_S
+        self._pace = max(0.0, before - share) if waits else min(1.0, before + share)
+        self._behind_s += (1.0 - self._pace) * step_s
+        if before < 1.0 or not waits:
+            return ()
+        text = f"formation {self._flown.number} waits for vehicle {', '.join(map(str, silent))}, which is silent"
+        return (Notice(Code.FORMATION_WAITS, text),)
 
     @property
     def reach_m(self) -> float:
@@ -215,6 +250,7 @@ class SlotPlan:
         self._before_enu_m, self.slots_enu_m = self.slots_enu_m, dict(change.slots_enu_m)
         self._reach_before_m, self._reach_m = self._reach_m, reach_m(self.slots_enu_m.values())
         self._flown, self._agreement.waiting = change, None
+        self._movers, self._pace, self._behind_s = set(), 1.0, 0.0
 
     def _adopt_flown(self, change: FormationChange) -> Answer:
         """Adopt the formation that others fly, at its end at once: a vehicle outside formation does not move.
@@ -258,7 +294,7 @@ class SlotPlan:
             return Notice(Code.CHANGE_TOO_LONG, text)
         if self._path:
             return Notice(Code.CHANGE_IN_PROGRESS, "this vehicle is not in its slot yet")
-        if reference_s < self._flown.begins_s + self._flown.lasts_s:
+        if reference_s < self._ends_s:
             text = f"formation {self._flown.number} is still being taken up"
             return Notice(Code.CHANGE_IN_PROGRESS, text)
         before, after = self._flown_by_present(change)

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from common import outcome
 from companion.core.formation.limits import FormationLimits
-from companion.core.formation.slots import AGREED_WITHIN_S, SlotPlan
+from companion.core.formation.slots import AGREED_WITHIN_S, WAITS_S, SlotPlan
 from companion.geometry.curves import Motion, circle, duration_s, rest_to_rest, waypoint_path
 from companion.geometry.formations import SHAPES, closest_approach, peak_speed_m_s, slots_of, smallest_distance
 from companion.ground.changes import assign_slots
@@ -169,6 +169,45 @@ def test_a_change_begins_at_its_time_when_all_peers_hold_it() -> None:
     assert half_way.position_enu_m == pytest.approx((-1.0, -1.0, 0.0))
     assert half_way.velocity_enu_m_s == pytest.approx((1.875 * 2.0 / 20.0, -1.875 * 2.0 / 20.0, 0.0))
     assert flown(slots, 30.0, KNOW, in_formation=True) == FlownSlot(TURNED[2], formation=1, waiting=1)
+
+
+def flown_until(slots: SlotPlan, from_s: float, until_s: float, others: Collection[PeerPacket]) -> list[Code]:
+    """Codes of the events, tick by tick of mission time."""
+    ticks = range(round(from_s * 50), round(until_s * 50))
+    return [event.code for tick in ticks for event in slots.update(0.0, tick / 50, others, in_formation=True)]
+
+
+def test_slots_wait_while_a_vehicle_that_moves_with_them_is_silent() -> None:
+    slots = plan()
+    slots.change(CHANGE, 9.0, (), ())
+    flown_until(slots, 9.0, 20.0, KNOW)
+    assert flown_until(slots, 20.0, 22.0, KNOW[:1]) == [Code.FORMATION_WAITS]
+    waiting = slots.flown
+    assert waiting.velocity_enu_m_s == ZERO3
+    assert waiting.position_enu_m != LINE[2] and waiting.position_enu_m != TURNED[2]
+    assert not slots.is_settled(31.0)
+    flown_until(slots, 22.0, 26.0, KNOW)
+    assert slots.flown.velocity_enu_m_s != ZERO3
+    flown_until(slots, 26.0, 33.0, KNOW)
+    assert slots.flown == FlownSlot(TURNED[2], formation=1, waiting=1)
+    assert slots.is_settled(33.0)
+
+
+def test_slots_wait_for_a_silent_vehicle_no_longer_than_for_its_hand_over() -> None:
+    slots = plan()
+    slots.change(CHANGE, 9.0, (), ())
+    flown_until(slots, 9.0, 20.0, KNOW)
+    flown_until(slots, 20.0, 31.5 + WAITS_S, KNOW[:1])
+    assert slots.flown == FlownSlot(TURNED[2], formation=1, waiting=1)
+
+
+def test_slots_do_not_wait_for_a_vehicle_that_left_formation() -> None:
+    slots = plan()
+    slots.change(CHANGE, 9.0, (), ())
+    flown_until(slots, 9.0, 20.0, KNOW)
+    flown_until(slots, 20.0, 21.0, [KNOW[0], replace(KNOW[1], phase=FlightPhase.HOLD)])
+    assert flown_until(slots, 21.0, 31.0, KNOW[:1]) == []
+    assert slots.flown == FlownSlot(TURNED[2], formation=1, waiting=1)
 
 
 @pytest.mark.parametrize("on_ground", [True, False])
