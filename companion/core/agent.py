@@ -102,7 +102,16 @@ class Agent:
         commands: tuple[PhaseCommand, ...] = ()
         if intake.admitted:
             commands = self.dispatcher.step(intake, vehicle, fitness, consensus, guidance, safety)
-        flight = self.phases.step(now_s, vehicle, before, inbox.telemetry, guidance.requests, commands, safety.requests)
+        flight = self.phases.step(
+            now_s,
+            vehicle,
+            before,
+            inbox.telemetry,
+            guidance.requests,
+            commands,
+            safety.requests,
+            self._last_separation.changed_m_s2,
+        )
         parameter_requests = self.preflight.ask(now_s, flight.streams)
         setpoint = self.setpoint.step(now_s, vehicle, before, flight, consensus, guidance, safety, inbox.traffic)
         self._flight, self._last_guidance, self._last_safety = flight, guidance, safety

@@ -23,7 +23,6 @@ from companion.ground.changes import (
     FleetAction,
     FormationRequest,
     ReferenceRequest,
-    believed,
     change_to,
     flown_slots_enu_m,
     refusal_of,
@@ -181,10 +180,9 @@ def preview_of(wanted: FleetAction, fleet: FleetConfig, statuses: Mapping[int, S
     if wanted.formation:
         if silent:
             return Preview(refused=f"no report of vehicle {', '.join(silent)}; all vehicles get new slots")
-        return _formation(wanted.formation, fleet, believed([statuses[member.id] for member in fleet.vehicles], fleet))
+        return _formation(wanted.formation, fleet, [statuses[member.id] for member in fleet.vehicles])
     assert wanted.reference is not None
-    reports = believed(statuses.values(), fleet)
-    return _reference(resolve_reference_now(wanted.reference, reports), fleet, reports)
+    return _reference(resolve_reference_now(wanted.reference, statuses.values()), fleet, list(statuses.values()))
 
 
 def _formation(request: FormationRequest, fleet: FleetConfig, statuses: Sequence[Status]) -> Preview:

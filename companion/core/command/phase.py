@@ -30,11 +30,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import replace
-from math import inf
+from math import hypot, inf
 
 from msgspec import Struct
 
-from companion.core.autopilot import Profiles, Progress, RunningProcedure, profile_of
+from companion.core.autopilot import Procedure, Profiles, Progress, RunningProcedure, profile_of
 from companion.types.autopilot import AutopilotMode, AutopilotRequest, LandedState, Telemetry, VehicleState, in_air
 from companion.types.commands import CommandName
 from companion.types.flight import (
@@ -54,6 +54,10 @@ from companion.types.notices import Answer, Code, Notice, accept, refuse
 P, M, C = FlightPhase, AutopilotMode, CommandName
 
 LEVEL_BEFORE_HAND_OVER_S = 0.25  # autopilots begin their own hold level, from any attitude
+# An autopilot brakes for its hold harder than the vehicles behind can, and makes way for none. So this agent brakes first.
+BRAKED_M_S = 0.5  # at this speed it hands over, unless the separation filter changes the acceleration
+BRAKES_WITHIN_S = 4.0  # then it hands over in any case
+EVADES_M_S2 = 0.3  # a change by the filter of at least this much is an evasion
 TAKES_OVER_WITHIN_S = 0.25  # both autopilots take over within 50 ms of the request
 LANDS_WITHIN_S = 1.5  # after three requests to land the agent lowers the vehicle itself
 
@@ -98,6 +102,8 @@ class PhaseMachine:
         self._leaving_formation = False
         self._began_in = P.OBSERVE  # the phase in which the procedure under way began
         self._descends_from_s = inf  # while a landing is asked for
+        self._filtered_m_s2 = 0.0  # change by the separation filter in the last tick
+        self._brakes_until_s: float | None = None  # until then the vehicle brakes, before it levels
         self._level_until_s = float("-inf")  # until then level attitude is streamed, before another mode takes over
         self._tolerated: frozenset[AutopilotMode] = frozenset()
         self.events: list[Notice] = []
@@ -111,12 +117,12 @@ class PhaseMachine:
         return self._leaving_formation and vehicle.mode is M.OFFBOARD
 
     def hands_over_level(self, now_s: float) -> bool:
-        """In a hand-over from formation, until the autopilot should have taken over."""
-        return self._leaving_formation and now_s < self._level_until_s
+        """In a hand-over from formation, after it has braked, until the autopilot should have taken over."""
+        return self._leaving_formation and self._brakes_until_s is None and now_s < self._level_until_s
 
     def descends(self, now_s: float) -> bool:
         """The autopilot does not take over to land: the stream goes on, and lowers the vehicle."""
-        return self._leaving_formation and now_s > self._descends_from_s
+        return self._leaving_formation and self._brakes_until_s is None and now_s > self._descends_from_s
 
     def command(self, name: CommandName, now_s: float, vehicle: VehicleState) -> Answer:
         """(accepted, reason). A command that is under way or done already is accepted again."""
@@ -182,11 +188,13 @@ class PhaseMachine:
         guidance_requests: Collection[PhaseRequest],
         commands: Collection[PhaseCommand],
         safety_requests: Collection[PhaseRequest],
+        filtered_m_s2: float,
     ) -> Flight:
         """The phase after the requests of guidance, the commands and the requests of safety, in this order.
 
-        `before` is what `observe` returned in this tick.
+        `before` is what `observe` returned in this tick, `filtered_m_s2` what the separation filter changed last.
         """
+        self._filtered_m_s2 = filtered_m_s2
         if not (guidance_requests or commands or safety_requests or self._running or self.events):
             return before
         answers, commanded = [], False
@@ -198,7 +206,9 @@ class PhaseMachine:
             commanded = commanded or answer.accepted
         for request in safety_requests:
             self._apply(request, now_s, vehicle, commanded)
-        to_autopilot = self.advance(now_s, vehicle, telemetry) if self._running else ()
+        to_autopilot: tuple[AutopilotRequest, ...] = ()
+        if self._running and not self._brakes(now_s, vehicle):
+            to_autopilot = self.advance(now_s, vehicle, telemetry)
         events, self.events = tuple(self.events), []
         return self._flight(now_s, vehicle, commanded, to_autopilot, tuple(answers), events)
 
@@ -280,6 +290,26 @@ class PhaseMachine:
         """No more setpoints; requests under way continue."""
         self._leaving_formation = False
 
+    def _brakes(self, now_s: float, vehicle: VehicleState) -> bool:
+        """Whether the vehicle still brakes, or evades another one, before it hands over."""
+        if self._brakes_until_s is None or self._running is None:
+            return False
+        streams = self._leaving_formation and vehicle.mode is M.OFFBOARD
+        if streams and now_s < self._brakes_until_s and self._is_moving(vehicle):
+            return True
+        self._levels(now_s, self._running.procedure)
+        return False
+
+    def _is_moving(self, vehicle: VehicleState) -> bool:
+        return hypot(*vehicle.velocity_enu_m_s) > BRAKED_M_S or self._filtered_m_s2 >= EVADES_M_S2
+
+    def _levels(self, now_s: float, procedure: Procedure) -> None:
+        """Levels from now on, then asks the autopilot."""
+        self._brakes_until_s, self._level_until_s = None, now_s + procedure.delay_s + TAKES_OVER_WITHIN_S
+        self._running = RunningProcedure(procedure, now_s)
+        if self._descends_from_s < inf:
+            self._descends_from_s = now_s + LANDS_WITHIN_S
+
     def advance(
         self, now_s: float, vehicle: VehicleState, telemetry: Iterable[Telemetry]
     ) -> tuple[AutopilotRequest, ...]:
@@ -321,17 +351,18 @@ class PhaseMachine:
         rule = RULES[name]
         procedure = profile_of(vehicle, self._profiles).procedures[name](vehicle, self._takeoff_height_m)
         leaving = self.streams(vehicle) and rule.via is not P.ENGAGE
-        if self.phase is P.FORMATION:  # before it, the present attitude is streamed anyway
-            procedure = replace(procedure, delay_s=level_first_s)
-            self._level_until_s = now_s + level_first_s + TAKES_OVER_WITHIN_S
-        running = RunningProcedure(procedure, now_s)
+        leaves_formation = self.phase is P.FORMATION  # before it, the present attitude is streamed anyway
         self._began_in, descends_from_s = self.phase, min(self._descends_from_s, now_s + LANDS_WITHIN_S)
         self._enter(rule.via, reason)
         self._descends_from_s = descends_from_s if rule.via is P.LAND else inf
         self._rule = rule
         self._leaving_formation = leaving
         self._tolerated = frozenset({vehicle.mode}) | ({M.OFFBOARD} if leaving else frozenset())
-        self._running = running
+        self._running = RunningProcedure(procedure, now_s)
+        if leaves_formation:
+            self._levels(now_s, replace(procedure, delay_s=level_first_s))
+            if level_first_s > 0.0 and self._is_moving(vehicle):
+                self._brakes_until_s = now_s + BRAKES_WITHIN_S
         self._seen = ()
 
     def _enter(self, phase: FlightPhase, reason: Notice | None = None) -> None:
@@ -344,6 +375,7 @@ class PhaseMachine:
         self._running = None
         self._leaving_formation = False
         self._descends_from_s = inf
+        self._brakes_until_s = None
         self._tolerated = frozenset()
         self._seen = ()
 

@@ -26,7 +26,7 @@ from companion.core.filter.filter import SafetyFilter
 from companion.core.formation.guidance import Guidance
 from companion.core.safety.limits import OutputLimiter, OutputLimits
 from companion.core.safety.safeguard import Safety
-from companion.geometry.vectors import between
+from companion.geometry.vectors import between, shortened
 from companion.types.autopilot import AttitudeTarget, AutopilotMode, LandedState, VehicleState
 from companion.types.flight import COOPERATING, FailsafeAction, Flight, FlightPhase
 from companion.types.notices import Code
@@ -165,9 +165,12 @@ class SetpointStage:
 
         In formation eq. 14 about a slot that may move, or on z the vehicle's own altitude hold.
         """
-        if flight.phase is not FORMATION:  # the autopilot takes over, level first, or does not take over
-            braking = self._braking(vehicle)
-            return (0.0, 0.0, braking[2]) if flight.levels else braking
+        if flight.phase is not FORMATION:  # brakes, then the autopilot takes over, level first, or does not take over
+            x, y, z = self._braking(vehicle)
+            if flight.levels:
+                return (0.0, 0.0, z)
+            x, y, _ = shortened((x, y, 0.0), self._safety_filter.braking_alone_m_s2)
+            return (x, y, z)
         slot = guidance.slot
         own = formation_state(vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot)
         x, y, z = formation_acceleration(

@@ -14,6 +14,7 @@ from companion.core.consensus.peers import PeerState
 from companion.core.filter.motion import KEPT_S, SPEED_MARGIN_RATIO, Ahead, Motions, Silence, Traffic, traffic_nearby
 from companion.core.filter.solver import AccelerationLimits, Constraint, Rank, filter_acceleration
 from companion.core.filter.vehicles import (
+    ALONE_SHARE,
     Separation,
     SeparationSettings,
     largest_removed_m_s2,
@@ -55,8 +56,9 @@ class SafetyFilter:
     ) -> None:
         # A vehicle that is silent for longer than its attitude is kept counts as silent, also where older states are fresh.
         begins_s, most_m_s = min(settings.fresh_s, KEPT_S), SPEED_MARGIN_RATIO * settings.max_speed_m_s
-        self._motions = Motions(settings.own_id, Silence(begins_s, 0.0, KEPT_S, most_m_s))
+        self._motions = Motions(settings.own_id, Silence(begins_s, 0.0, KEPT_S, settings.braking_m_s2, most_m_s))
         self._separation = Separation(settings)
+        self.braking_alone_m_s2 = ALONE_SHARE * settings.braking_m_s2  # as a vehicle behind this one plans to brake
         self._bounds = bounds
         self._limits = limits
         self._gains = gains

@@ -17,7 +17,7 @@ from companion.core.consensus.peers import PeerState
 from companion.geometry.formations import HEIGHT_WEIGHT
 from companion.geometry.vectors import shortened
 from companion.types.autopilot import PositionError, VehicleState
-from companion.types.flight import FlightPhase
+from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FlownSlot
 from companion.types.peers import ReceivedTraffic
 from companion.types.values import ZERO3, Vector3
@@ -40,6 +40,7 @@ COAST_1_S = 0.25
 GROWS_S = 0.4  # in this time the region of a silent vehicle grows from the expected position to all its way
 DESCENT_M_S = 1.5  # speed of an autopilot landing: PX4 MPC_Z_V_AUTO_DN, more than its MPC_LAND_SPEED of 0.7
 LANDS_S = 0.6  # PX4's smallest COM_OF_LOSS_T that the audit accepts (SHORTEST_TIMEOUT_S)
+AUTOPILOT_BRAKES_M_S2 = 5.0  # a hold or a stick that is let go: PX4 MPC_ACC_HOR_MAX
 SPEED_MARGIN_RATIO = 1.25  # a silent vehicle is assumed to fly at most this times the speed limit
 COLUMN_M_S = 1.0  # growth of the distance that a vehicle below keeps
 
@@ -50,8 +51,8 @@ Motion = tuple[Vector3, Vector3, Vector3]
 class Silence(Struct, frozen=True, gc=False):
     """From which age of its last state on a vehicle counts as silent, and how it may fly then.
 
-    It brakes after `brakes_s` at the earliest, and keeps its attitude until `kept_s`. It flies `most_m_s` at most: one
-    packet may report any velocity. `lands`: it may do so.
+    It brakes after `brakes_s` at the earliest, by at most `braking_m_s2`, and keeps its attitude until `kept_s`. It flies
+    `most_m_s` at most: one packet may report any velocity. `lands`: it may do so.
 
     An agent that fails levels and requests a hold before it falls silent. An autopilot without setpoints keeps the last
     attitude for about 1 s (PX4 COM_OF_LOSS_T, ArduCopter GUID_TIMEOUT). PX4 then brakes to a hold or lands (COM_OBL_RC_ACT);
@@ -62,13 +63,12 @@ class Silence(Struct, frozen=True, gc=False):
     begins_s: float
     brakes_s: float
     kept_s: float
+    braking_m_s2: float
     most_m_s: float = inf
     lands: bool = True
 
 
-def nearest_on_way(
-    own: Ahead, last: Motion, age_s: float, ahead_s: float, silence: Silence, braking_m_s2: float, weight: float
-) -> Motion:
+def nearest_on_way(own: Ahead, last: Motion, age_s: float, ahead_s: float, silence: Silence, weight: float) -> Motion:
     """The point nearest to this vehicle of all where a silent one may be `ahead_s` from now, and how that point moves.
 
     `last` is `age_s` old. The way is a straight line from where the vehicle brakes at once to where it coasts. It grows from
@@ -77,7 +77,7 @@ def nearest_on_way(
     """
     at_s, most_m_s = age_s + ahead_s, silence.most_m_s
     plausible = (last[0], shortened(last[1], most_m_s), last[2])
-    braked = _braking(plausible, at_s, silence.brakes_s, braking_m_s2)
+    braked = _braking(plausible, at_s, silence.brakes_s, silence.braking_m_s2)
     coasted = _coasting(plausible, at_s, silence.kept_s, most_m_s)
     part = (age_s - silence.begins_s) / GROWS_S
     if part < 1.0:
@@ -179,7 +179,9 @@ FORMATION = FlightPhase.FORMATION
 NEAR_M, NEAR_S = 8.0, 3.0  # farther than NEAR_M + NEAR_S * relative speed nothing is computed
 FORGOTTEN_S = 600.0  # a vehicle that is silent for so long is no obstacle any more: its battery lasts no longer
 TRAFFIC_EXTRAPOLATED_S = 5.0  # an aircraft holds its course
-TRAFFIC_SILENCE = Silence(TRAFFIC_EXTRAPOLATED_S, TRAFFIC_EXTRAPOLATED_S, TRAFFIC_EXTRAPOLATED_S, lands=False)
+TRAFFIC_SILENCE = Silence(
+    TRAFFIC_EXTRAPOLATED_S, TRAFFIC_EXTRAPOLATED_S, TRAFFIC_EXTRAPOLATED_S, AUTOPILOT_BRAKES_M_S2, lands=False
+)
 NO_ERROR = PositionError(0.0, 0.0)
 
 
@@ -188,7 +190,8 @@ class Other(Struct, frozen=True, gc=False):
 
     A peer that is not fresh keeps its acceleration: an autopilot without setpoints keeps its attitude at first.
     `silence`: how it may fly where its state is too old, else None.
-    `slot` is None for a vehicle that does not cooperate. `side` is the sign of its number compared with the own one.
+    `slot` is None for a vehicle that does not cooperate with this one; one that `makes_way` may still keep off by itself.
+    `side` is the sign of its number compared with the own one.
     """
 
     key: int | str
@@ -198,6 +201,7 @@ class Other(Struct, frozen=True, gc=False):
     error: PositionError
     height_weight: float
     slot: FlownSlot | None
+    makes_way: bool
     side: float
 
 
@@ -208,6 +212,8 @@ class Motions:
         self._own_id = own_id
         self._silence = silence  # how a silent peer may fly
         self._silence_on_ground = replace(silence, lands=False)
+        # A vehicle that is leaving formation, in hold, landing or under a pilot: no command says what it flies next.
+        self._on_its_own = Silence(-inf, 0.0, KEPT_S, AUTOPILOT_BRAKES_M_S2, silence.most_m_s, lands=False)
         self._own_enu_m_s2 = ZERO3
         self._own_s: float | None = None
         self._lagged_enu_m_s2: dict[int, Vector3] = {}
@@ -258,15 +264,22 @@ class Motions:
                 (lx, ly, lz), (ux, uy, uz) = last, acceleration
                 acceleration = (lx + lag_share * (ux - lx), ly + lag_share * (uy - ly), lz + lag_share * (uz - lz))
             commanded[peer_id] = acceleration
+            silence: Silence | None = None  # it flies by the last command of its packet
+            if age_s > begins_s:
+                silence = self._silence if packet.armed else self._silence_on_ground
+            elif packet.armed and packet.phase not in STREAMING:
+                silence = self._on_its_own
+            makes_way = is_fresh and packet.phase is FORMATION
             other = Other(
                 peer_id,
                 (there_enu_m, moving_enu_m_s, acceleration),
                 age_s,
-                None if age_s <= begins_s else self._silence if packet.armed else self._silence_on_ground,
+                silence,
                 packet.position_error or NO_ERROR,
                 HEIGHT_WEIGHT if packet.armed else 1.0,  # no downwash reaches a vehicle on the ground
-                packet.slot if cooperates and is_fresh and packet.phase is FORMATION else None,
-                1.0 if self._own_id < peer_id else -1.0,
+                packet.slot if cooperates and makes_way else None,
+                makes_way=makes_way,
+                side=1.0 if self._own_id < peer_id else -1.0,
             )
             near.append(other)
         self._lagged_enu_m_s2 = commanded
@@ -283,7 +296,7 @@ def traffic_nearby(now_s: float, vehicle: VehicleState, traffic: Mapping[str, Re
         if _may_meet(vehicle, *last[:2], age_s):
             error = PositionError(sample.error_m, sample.error_m)
             silence = TRAFFIC_SILENCE if age_s > TRAFFIC_EXTRAPOLATED_S else None
-            near.append(Other(name, last, age_s, silence, error, HEIGHT_WEIGHT, None, 1.0))
+            near.append(Other(name, last, age_s, silence, error, HEIGHT_WEIGHT, None, makes_way=False, side=1.0))
     return near
 
 

@@ -53,6 +53,8 @@ UNSEEN_DELAY_S = 0.1
 # The same and the delay of the own response, before a vehicle that flies towards this one. A pilot's vehicle reports no
 # acceleration: it may have reached 1.6 m/s in the 0.4 s before others make way.
 PURSUED_S = 0.4
+# For so long a vehicle is believed to turn away as its last packet says; then it may have changed its mind unheard.
+BELIEVED_S = 0.1
 RIPPLE_M = 0.05  # the distance varies by this while a vehicle slides along one that does not give way
 RESPONSE_1_S = 5.0  # k: how fast h may approach 0; 1/k is the attitude lag, faster no vehicle responds
 SLOPE_1_S = 4.0  # approach speed per metre near the required distance; below k, so that h can follow
@@ -105,7 +107,6 @@ class Separation:
         self.separation_m = settings.separation_m
         self._braking_alone_m_s2 = ALONE_SHARE * settings.braking_m_s2
         self._braking_together_m_s2 = 2.0 * settings.braking_m_s2
-        self._braking_m_s2 = settings.braking_m_s2
         self._largest_error_m = LARGEST_ERROR_RATIO * settings.separation_m
 
     def barriers(
@@ -146,9 +147,11 @@ class Separation:
         required_m = self._required(error, slot, other, offset_enu_m, mz)
         late_m, braking_m_s2 = UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0, self._braking_together_m_s2
         margins_m = required_m - self.separation_m
-        if slot_of_other is None:  # a pursuer is nearer than its last packet shows, even if it no longer approaches
+        if slot_of_other is None:
             braking_m_s2 = self._braking_alone_m_s2
-            late_m = max(late_m, PURSUED_S * (nx * vx + ny * vy + nz * vz * weight)) + RIPPLE_M + TRACKING_M
+            if not other.makes_way:  # a pursuer is nearer than its last packet shows, even if it no longer approaches
+                late_m = max(late_m, PURSUED_S * (nx * vx + ny * vy + nz * vz * weight))
+            late_m += RIPPLE_M + TRACKING_M
         # p of a pair that turns about each other lags inside q; a closing vehicle is nearer than its late packet reports.
         required_m += TURNING_S2 * across_m_s2 + late_m
         margin_m = apart_m - required_m
@@ -157,6 +160,8 @@ class Separation:
         allowed_m_s, slope_1_s = approach_speed(margin_m, braking_m_s2, SLOPE_1_S, FASTEST_LEAVING_M_S)
         least_m_s2 = RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2
         towards_m_s2 = nx * ax + ny * ay + mz * az
+        if other.age_s > BELIEVED_S and towards_m_s2 < 0.0:
+            towards_m_s2 = 0.0
         own_m_s2 = least_m_s2 + towards_m_s2
         nx, ny, mz, rank, without_margins = nx / size, ny / size, mz / size, VEHICLE, None
         if slot_of_other is not None:
@@ -197,8 +202,7 @@ class Separation:
         return Barrier(constraint, other, (rx, ry, rz), required_m, margin_m, below=True)
 
     def _nearest_on_way(self, ahead: Ahead, other: Other, silence: Silence) -> Motion:
-        braking_m_s2, weight = self._braking_m_s2, other.height_weight
-        return nearest_on_way(ahead, other.last, other.age_s, LAG_S, silence, braking_m_s2, weight)
+        return nearest_on_way(ahead, other.last, other.age_s, LAG_S, silence, other.height_weight)
 
     def _required(
         self, own: PositionError, slot: FlownSlot | None, other: Other, offset_enu_m: Vector3, upward: float

@@ -151,7 +151,7 @@ OTHER_FAILSAFES: tuple[Failsafe, ...] = (
     Failsafe(C.MODE_CHANGED_BY_OTHERS, "next flight mode", (Step(A.LEAVE),), "a command"),
     Failsafe(C.AUTOPILOT_DISARMED, "next HEARTBEAT", (Step(A.LEAVE),), "a command"),
     # Both autopilots take over within 50 ms of the request (measured: docs/safety.md); the rest is for lost requests.
-    Failsafe(C.AGENT_STOPPING, "at once", (HOLD, Step(A.LEAVE, 2.0)), "a restart, which observes"),
+    Failsafe(C.AGENT_STOPPING, "at once", (HOLD, Step(A.LEAVE, 6.0)), "a restart, which observes"),
     Failsafe(C.AGENT_FAILED, "an exception in a tick", (HOLD, Step(A.LEAVE, 0.5)), "a restart, which observes"),
 )
 BY_CONDITION = {row.condition: row for row in (*FAILSAFES, *OTHER_FAILSAFES)}

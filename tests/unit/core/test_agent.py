@@ -10,7 +10,7 @@ from common import codes_of, outcome, with_fields
 from companion.assembly import trajectory_of
 from companion.config.fleet import FleetConfig, FormationMember, Law
 from companion.config.reference import Figure8Reference, PointReference
-from companion.core.command.phase import LEVEL_BEFORE_HAND_OVER_S, TAKES_OVER_WITHIN_S
+from companion.core.command.phase import BRAKES_WITHIN_S, LEVEL_BEFORE_HAND_OVER_S, TAKES_OVER_WITHIN_S
 from companion.types.autopilot import (
     AttitudeSample,
     AttitudeTarget,
@@ -352,19 +352,25 @@ def test_a_landing_is_requested_again_when_the_state_is_stale() -> None:
     assert flight.mode is AutopilotMode.LAND
 
 
-def test_a_hand_over_is_level_and_brakes_when_the_autopilot_does_not_take_over() -> None:
+def test_a_hand_over_brakes_then_levels_and_brakes_again_when_the_autopilot_does_not_take_over() -> None:
     flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.tick()
     flight.peer_position = (-120.0, 0.0, 1.0)  # a neighbour that would pull it farther out
     flight.position, flight.velocity = (-101.0, 0.0, 0.9), (3.0, 0.0, -1.0)
-    flight.executes_requests = False
+    flight.executes_requests, began_s = False, flight.now_s
     up_m_s2 = pytest.approx(2.0 * 0.1 + 2.4 * 1.0, abs=0.01)
-    for _ in range(round((LEVEL_BEFORE_HAND_OVER_S + TAKES_OVER_WITHIN_S) / 0.02)):
+    brakes = [
+        reported_acceleration(flight.tick()) for _ in range(round(BRAKES_WITHIN_S / 0.02))
+    ]  # nothing slows it down
+    assert all(-1.4 < ux < -1.0 and uz == up_m_s2 for ux, _, uz in brakes)
+    while reported_acceleration(flight.tick()) != (0.0, 0.0, up_m_s2):
+        assert flight.now_s < began_s + BRAKES_WITHIN_S + 0.5
+    for _ in range(round((LEVEL_BEFORE_HAND_OVER_S + TAKES_OVER_WITHIN_S) / 0.02) - 1):
         assert reported_acceleration(flight.tick()) == (0.0, 0.0, up_m_s2)
     assert flight.agent.phase is FlightPhase.RELEASE
     flight.tick()
     ux, _, uz = reported_acceleration(flight.tick())
-    assert ux < -2.0
+    assert ux < -1.0
     assert uz == up_m_s2
 
 

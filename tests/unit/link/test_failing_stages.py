@@ -12,6 +12,7 @@ import pytest
 
 from agent_on_bytes import BOTH, HOLD, MANUAL, PERIOD_S, FailingFlight
 from companion.core.agent import Agent
+from companion.core.command.phase import BRAKES_WITHIN_S
 from companion.core.consensus.peers import FleetLimits, PeerTable
 from companion.core.safety.safeguard import HAND_OVER_WITHIN_S
 from companion.link.control_loop import ControlLoop
@@ -132,6 +133,7 @@ def test_a_failing_stage_levels_the_vehicle_and_requests_hold(
     flight.inject(*STAGES[stage](flight))
     if stage in AT_A_COMMAND:
         flight.tick(CommandName.HOLD)
+        flight.ticks(BRAKES_WITHIN_S)
     flight.ticks(2.0)
     assert flight.failed_s is not None
     assert flight.ended_s is not None

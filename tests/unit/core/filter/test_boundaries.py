@@ -48,7 +48,12 @@ class Flown:
 def fly(position: Vector3, wanted: list[Vector3], lag_s: float, each_s: float = 2.0) -> Flown:
     """A vehicle with attitude lag and 40 ms of transport delay, from rest, on which a law pulls that knows no limits."""
     x, v, a = list(position), [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
-    motions, flown, command, waiting = Motions(1, Silence(0.3, 0.0, 1.0)), Flown(), ZERO3, deque([ZERO3] * DELAY_TICKS)
+    motions, flown, command, waiting = (
+        Motions(1, Silence(0.3, 0.0, 1.0, 2.0)),
+        Flown(),
+        ZERO3,
+        deque([ZERO3] * DELAY_TICKS),
+    )
     for tick in range(round(each_s * len(wanted) / TICK_S)):
         now_s = tick * TICK_S
         state = VehicleState(

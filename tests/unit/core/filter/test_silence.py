@@ -23,8 +23,8 @@ from companion.core.filter.motion import (
 from companion.types.autopilot import VehicleState
 from companion.types.values import ZERO3, Vector3
 
-PEER = Silence(0.3, 0.0, KEPT_S, 15.0)
 BRAKING_M_S2 = 2.0
+PEER = Silence(0.3, 0.0, KEPT_S, BRAKING_M_S2, 15.0)
 EAST: Motion = ((0.0, 0.0, 5.0), (4.0, 0.0, 0.0), ZERO3)
 OWN_M_S: Vector3 = (3.0, 1.0, 0.0)
 FAR_BEHIND: Vector3 = (-500.0, 0.0, 5.0)
@@ -32,7 +32,7 @@ FAR_AHEAD: Vector3 = (500.0, 0.0, 5.0)
 
 
 def nearest(own_enu_m: Vector3, last: Motion, age_s: float, silence: Silence = PEER) -> Motion:
-    return nearest_on_way(Ahead(own_enu_m, OWN_M_S), last, age_s, 0.0, silence, BRAKING_M_S2, 1.0)
+    return nearest_on_way(Ahead(own_enu_m, OWN_M_S), last, age_s, 0.0, silence, 1.0)
 
 
 def test_a_vehicle_behind_meets_one_that_brakes_at_once() -> None:

@@ -317,14 +317,14 @@ def test_silence_in_every_phase(leaves_formation: bool, phase: FlightPhase, kind
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("phase", sorted(P))
 @pytest.mark.parametrize("leaves_formation", [False, True])
-def test_a_stopping_agent_holds_and_gives_up_a_stream_after_2_s(
+def test_a_stopping_agent_holds_and_gives_up_a_stream_after_6_s(
     leaves_formation: bool, phase: FlightPhase, kind: AutopilotKind
 ) -> None:
     """The phase machine carries a hold out in formation only: tests/unit/core/safety/test_flags_and_commands.py."""
     vehicle = Vehicle(kind)
     vehicle.phase, vehicle.leaves_formation, vehicle.stopping = phase, leaves_formation, True
     streams = phase in STREAMING or phase is P.RELEASE or (leaves_formation and phase in LEAVING)
-    assert vehicle.requested() == {"hold": 0.0} | ({"abandon": 2.1} if streams else {})
+    assert vehicle.requested() == {"hold": 0.0} | ({"abandon": 6.1} if streams else {})
 
 
 @pytest.mark.parametrize("kind", KINDS)
