@@ -152,12 +152,19 @@ def check_request(request: FormationRequest, fleet: FleetConfig) -> None:
 
 
 def resolve_slots(request: FormationRequest, statuses: Sequence[Status], fleet: FleetConfig) -> dict[int, Vector3]:
-    """The slot of each vehicle: as in the file, the flown one, or assigned for a shape. Raises ConfigError."""
+    """The slot of each vehicle of the fleet: as in the file, the flown one, or assigned for a shape. Raises ConfigError.
+
+    A shape has a slot for a vehicle without a status, too: one that is left over. Of such a vehicle the slot in the fleet file
+    counts as flown.
+    """
     check_reports("formation", statuses)
+    ids = sorted({member.id for member in fleet.vehicles} | {status.agent.vehicle_id for status in statuses})
     if request.shape and request.spacing_m is not None:
-        slots = named_slots(request.shape, len(statuses), request.spacing_m * request.scale, request.heading_deg)
-        return assign_slots(positions_enu_m(statuses), slots)
-    flown_enu_m = flown_slots_enu_m(statuses)
+        slots = named_slots(request.shape, len(ids), request.spacing_m * request.scale, request.heading_deg)
+        assigned = assign_slots(positions_enu_m(statuses), slots)
+        free = [slot for slot in slots if slot not in assigned.values()]
+        return assigned | dict(zip((i for i in ids if i not in assigned), free, strict=True))
+    flown_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles} | flown_slots_enu_m(statuses)
     slots_enu_m = load_slots(request.slots_file, fleet) if request.slots_file else request.slots_enu_m or flown_enu_m
     return {i: rotated(slot, radians(request.heading_deg), request.scale) for i, slot in slots_enu_m.items()}
 
@@ -205,7 +212,7 @@ def refusal_of(slots_enu_m: Mapping[int, Vector3], separation_m: float, has_heig
 
 
 def change_to(slots_enu_m: Mapping[int, Vector3], statuses: Sequence[Status], slot_speed_m_s: float) -> FormationChange:
-    """The change for all vehicles with a status, with the next number, AHEAD_S after their fleet time."""
+    """The change for all vehicles, with the next number, AHEAD_S after their fleet time. Those without a status are absent."""
     path_m = longest_path_m(flown_slots_enu_m(statuses), slots_enu_m)
     lasts_s = duration_s(path_m, slot_speed_m_s, SLOT_ACCELERATION_M_S2)
     slots = [status.formation.slot for status in statuses]
@@ -214,6 +221,7 @@ def change_to(slots_enu_m: Mapping[int, Vector3], statuses: Sequence[Status], sl
         slots_enu_m=tuple(sorted(slots_enu_m.items())),
         begins_s=fleet_time_s(statuses) + AHEAD_S,
         lasts_s=max(lasts_s, MIN_CHANGE_S),
+        absent=tuple(sorted(slots_enu_m.keys() - {status.agent.vehicle_id for status in statuses})),
     )
 
 

@@ -33,9 +33,11 @@ from companion.ground.changes import (
 from companion.ground.goals import (
     ALL_OR_NONE,
     GOALS,
+    NOT_HELD_S,
     STILL_CHANGING,
     Goal,
     check_all,
+    end_cancelled,
     end_of,
     end_timed_out,
     progress_text,
@@ -119,12 +121,16 @@ def give(
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A command with its outcome for each vehicle. `running`: some vehicle was in formation when it was sent."""
+    """A command with its outcome for each vehicle. `running`: some vehicle was in formation when it was sent.
+
+    `absent` vehicles do not report and got no command.
+    """
 
     name: CommandName
     content: Content | None
     outcomes: dict[int, Outcome]
     running: bool = False
+    absent: tuple[int, ...] = ()
 
 
 class OperatorCommands:
@@ -184,19 +190,20 @@ class OperatorCommands:
         return Sent(CommandName.LEAD, lead, self._give(self._all, CommandName.LEAD, lead))
 
     def _formation(self, request: FormationRequest) -> Sent:
-        """From the present positions of all vehicles: all of them must report."""
+        """From the present positions of all vehicles that report; the others count as absent, and their slots stay empty.
+
+        The vehicles cancel it where one of those flies in formation after all.
+        """
         reports = self._statuses(self._all)
-        if silent := [str(i) for i in self._all if i not in reports]:
-            raise OperateError(
-                f"no report of vehicle {', '.join(silent)} for {self._wait_s:g} s; all vehicles get new slots"
-            )
+        if not reports:
+            raise OperateError(f"no report of any vehicle for {self._wait_s:g} s")
         statuses, fleet = list(reports.values()), self._fleet
         slots_enu_m = resolve_slots(request, statuses, fleet)
         if refusal := refusal_of(slots_enu_m, fleet.separation_m, has_height=fleet.law.altitude == "formation"):
             raise OperateError(refusal)
         change = change_to(slots_enu_m, statuses, fleet.slot_speed_m_s)
-        outcomes = self._give(self._all, CommandName.FORMATION, change)
-        return Sent(CommandName.FORMATION, change, outcomes, time_runs(statuses))
+        outcomes = self._give(list(reports), CommandName.FORMATION, change)
+        return Sent(CommandName.FORMATION, change, outcomes, time_runs(statuses), change.absent)
 
     def _reference(self, request: ReferenceRequest) -> Sent:
         """Checked with the present slots, as by each vehicle that may lead."""
@@ -256,6 +263,7 @@ def wait_for(
         if outcome.kind is AnswerKind.ACCEPTED
     }
     ends: dict[int, End] = {}
+    seen_held: set[int] = set()
     began_s, before = clock.now_s(), ""
     while pending:
         reports = newest()
@@ -266,6 +274,10 @@ def wait_for(
         }
         after_s = clock.now_s() - began_s
         ends |= {i: end for i, status in statuses.items() if (end := end_of(goal, status, after_s))}
+        held = {i for i, status in statuses.items() if goal.held(status)}
+        dropped = seen_held - held if after_s < NOT_HELD_S else statuses.keys() - held
+        ends |= {i: end_cancelled(goal, statuses[i], after_s) for i in dropped & statuses.keys() - ends.keys()}
+        seen_held |= held
         pending = {i: number for i, number in pending.items() if i not in ends}
         statuses = {i: status for i, status in statuses.items() if i in pending}
         line = progress_text(goal, ends, {i: statuses.get(i) for i in pending}, len(outcomes))

@@ -19,16 +19,21 @@ P, C = FlightPhase, CommandName
 
 SLOT_REACHED_M = 0.001  # a status has its slot to 0.1 mm
 SHORT_S, LONG_S = 60.0, 300.0  # --timeout by default
+NOT_HELD_S = 5.0  # an accepted change that no report has had until then is cancelled; one begins after AHEAD_S
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """The end state of an action. A vehicle in a phase outside `on_the_way` that has not reached it has failed."""
+    """The end state of an action. A vehicle in a phase outside `on_the_way` that has not reached it has failed.
+
+    `held` is whether a vehicle still has an accepted change, which waits or is flown: if it had, it has cancelled the change.
+    """
 
     text: str  # "armed", in the plural as well
     timeout_s: float
     reached: Callable[[Status], bool]
     on_the_way: frozenset[FlightPhase] = frozenset(P)
+    held: Callable[[Status], bool] = lambda _: True
 
 
 def _on_ground(status: Status) -> bool:
@@ -67,15 +72,40 @@ def goal_of(name: CommandName, content: Content | None, running: bool) -> Goal |
         case Lead():
             return Goal("with the new leader", SHORT_S, lambda status: _follows(status, content))
         case FormationChange():
-            return Goal("in the new formation", LONG_S, lambda status: _flies(status, content))
+            return Goal(
+                "in the new formation",
+                LONG_S,
+                lambda status: _flies(status, content),
+                held=lambda status: _has(content.number, *_formations(status)),
+            )
         case ReferenceChange():
-            return Goal("with the new reference", LONG_S, lambda status: _holds(status, content, running))
+            return Goal(
+                "with the new reference",
+                LONG_S,
+                lambda status: _holds(status, content, running),
+                held=lambda status: _has(content.number, *_references(status)),
+            )
     return GOALS.get(name)
 
 
 def _follows(status: Status, lead: Lead) -> bool:
     leads, known = status.agent.vehicle_id in lead.leaders, status.leadership
     return is_newer(known.epoch, lead.epoch) or (known.epoch == lead.epoch and (known.role is Role.LEADER) is leads)
+
+
+def _formations(status: Status) -> tuple[int, int]:
+    """Number of the formation flown, and of the one that waits."""
+    return status.formation.slot.formation, status.formation.slot.waiting
+
+
+def _references(status: Status) -> tuple[int, int]:
+    """Number of the reference flown, and of the one that waits; 0 where the vehicle may not lead."""
+    held = status.formation.reference
+    return (held.flown, held.waiting) if held else (0, 0)
+
+
+def _has(number: int, flown: int, waiting: int) -> bool:
+    return any(one == number or is_newer(one, number) for one in (flown, waiting))
 
 
 def _flies(status: Status, change: FormationChange) -> bool:
@@ -109,6 +139,12 @@ def end_of(goal: Goal, status: Status, after_s: float) -> End | None:
         return None
     event = f"; last event {status.last_event}" if status.last_event else ""
     return End(False, after_s, Notice(Code.ACTION_FAILED, f"not {goal.text}: phase {status.phase}{event}"))
+
+
+def end_cancelled(goal: Goal, status: Status, after_s: float) -> End:
+    """The end of the wait for a vehicle that has dropped an accepted change."""
+    event = f"; last event {status.last_event}" if status.last_event else ""
+    return End(False, after_s, Notice(Code.ACTION_FAILED, f"not {goal.text}: the vehicle has cancelled it{event}"))
 
 
 def end_timed_out(goal: Goal, status: Status | None, after_s: float, timeout_s: float) -> End:

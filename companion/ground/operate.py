@@ -15,7 +15,7 @@ from companion.config.file import read_regular
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
 from companion.config.vehicle import ground_endpoints
-from companion.ground.answers import AnswerKind, answer_lines, answers_as_data, end_lines, wrap_text
+from companion.ground.answers import AnswerKind, answer_lines, answers_as_data, end_lines, id_list, wrap_text
 from companion.ground.changes import FleetAction
 from companion.ground.commands import OperateError, OperatorCommands, Sent, check_content, statuses_of, wait_for
 from companion.ground.current_fleet import simulation_endpoints, unreachable
@@ -158,13 +158,14 @@ def _command(session: FleetSession, request: FleetRequest, commands: OperatorCom
     missing = any(outcome.kind is AnswerKind.MISSING for outcome in sent.outcomes.values())
     failed_endpoints = unreachable(endpoints, session.linked()) if missing else {}
     if not request.as_json:
-        _print([*answer_lines(sent.outcomes), *_endpoint_lines(failed_endpoints)])
+        _print([*answer_lines(sent.outcomes), *_absent_lines(sent.absent), *_endpoint_lines(failed_endpoints)])
     goal = goal_of(sent.name, sent.content, sent.running) if request.wait else None
     if goal and any(outcome.kind is AnswerKind.ACCEPTED for outcome in sent.outcomes.values()):
         sent = _waited(session, request, sent, goal)
     advice = advise_divided_fleet(sent.name, sent.outcomes)
     if request.as_json:
-        more = {"advice": str(advice)} if advice else {}
+        more: dict[str, Any] = {"advice": str(advice)} if advice else {}
+        more |= {"absent": list(sent.absent)} if sent.absent else {}
         data = answers_as_data(sent.outcomes)
         _print_json(request, data, operator=session.operator, unreachable=failed_endpoints, **more)
     elif advice:
@@ -183,6 +184,13 @@ def _waited(session: FleetSession, request: FleetRequest, sent: Sent, goal: Goal
 
 def _show_progress(line: str) -> None:
     print("\n".join(wrap_text("", line)), file=sys.stderr, flush=True)
+
+
+def _absent_lines(absent: Sequence[int]) -> list[str]:
+    if not absent:
+        return []
+    text = f"{id_list(absent)} without a report: counted as absent, no command sent; slots are kept free for them"
+    return wrap_text("", text)
 
 
 def _endpoint_lines(failed: dict[str, str]) -> list[str]:

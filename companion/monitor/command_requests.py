@@ -176,11 +176,11 @@ def _input(field: structs.FieldInfo, asked: Asked) -> dict[str, Any]:
 
 def preview_of(wanted: FleetAction, fleet: FleetConfig, statuses: Mapping[int, Status]) -> Preview:
     """Of a request with a formation or a reference. Raises ConfigError."""
-    silent = [str(member.id) for member in fleet.vehicles if member.id not in statuses]
     if wanted.formation:
-        if silent:
-            return Preview(refused=f"no report of vehicle {', '.join(silent)}; all vehicles get new slots")
-        return _formation(wanted.formation, fleet, [statuses[member.id] for member in fleet.vehicles])
+        reporting = [statuses[member.id] for member in fleet.vehicles if member.id in statuses]
+        if not reporting:
+            return Preview(refused="no report of any vehicle")
+        return _formation(wanted.formation, fleet, reporting)
     assert wanted.reference is not None
     return _reference(resolve_reference_now(wanted.reference, statuses.values()), fleet, list(statuses.values()))
 
@@ -191,7 +191,7 @@ def _formation(request: FormationRequest, fleet: FleetConfig, statuses: Sequence
     flown_enu_m = flown_slots_enu_m(statuses)
     closest_m, _, _ = closest_approach(
         {i: to_separation_metric(slot, has_height) for i, slot in flown_enu_m.items()},
-        {i: to_separation_metric(slot, has_height) for i, slot in slots_enu_m.items()},
+        {i: to_separation_metric(slots_enu_m[i], has_height) for i in flown_enu_m},
     )
     change = change_to(slots_enu_m, statuses, fleet.slot_speed_m_s)
     reference_enu_m = _reference_enu_m(statuses)

@@ -8,10 +8,17 @@ import msgspec
 from msgspec import Struct
 
 from companion.ground.answers import TimedReply
-from companion.ground.changes import assign_slots, change_to, named_slots, positions_enu_m, reference_change
+from companion.ground.changes import (
+    assign_slots,
+    change_to,
+    fleet_time_s,
+    named_slots,
+    positions_enu_m,
+    reference_change,
+)
 from companion.ground.commands import Clock, CommandSession, give
 from companion.ground.goals import Goal, goal_of, way_left_m
-from companion.types.commands import CommandName, Content, Lead, next_epoch
+from companion.types.commands import CommandName, Content, Lead, ReferenceChange, next_epoch
 from companion.types.errors import CompanionError
 from companion.types.flight import RULES, FlightPhase
 from companion.types.formation import FormationChange
@@ -27,6 +34,7 @@ DISARM_SEEN_WITHIN_S = 1.5  # heartbeats, which carry the armed state, come once
 # After one of these commands a vehicle may be in phase observe without a failure.
 TO_THE_GROUND = (CommandName.LAND, CommandName.RETURN)
 MAY_OBSERVE = (CommandName.PREPARE, CommandName.DISARM, *TO_THE_GROUND)
+BEGUN_WITHIN_S = 1.0  # after its begin, by fleet time, a change is reported as flown
 EXPIRING = (CommandName.FORMATION, CommandName.REFERENCE)  # their content names the time when it begins
 
 
@@ -76,6 +84,7 @@ class Order:
             now_s = self._clock.now_s()
             if now_s > deadline_s:
                 raise FlightFailure(self._too_late(missing))
+            self._renew_if_over()
             open_ids = [i for i in missing if i not in self._accepted_s]
             if open_ids and now_s >= next_command_s:
                 next_command_s = now_s + REPEAT_S
@@ -120,6 +129,17 @@ class Order:
             reply = answer.reply if answer else None
             self._reasons[vehicle_id] = f"{reply.code}: {reply.reason}" if reply else "no answer from its agent"
         return answers
+
+    def _renew_if_over(self) -> None:
+        """Give a change anew whose begin has passed without a vehicle that flies it: all have cancelled or refused it."""
+        content, statuses = self._content, self._watch.statuses()
+        if not isinstance(content, FormationChange | ReferenceChange) or self._step.command not in EXPIRING:
+            return
+        if fleet_time_s(statuses) > content.begins_s + BEGUN_WITHIN_S and not any(
+            number_flown(status, content) == content.number for status in statuses
+        ):
+            self._content = None
+            self._accepted_s.clear()
 
     def _is_done(self, vehicle_id: int) -> bool:
         status = self._watch.status(vehicle_id)
@@ -186,6 +206,13 @@ def _slots(wanted: FormationStep, statuses: Sequence[Status]) -> Mapping[int, Ve
         return wanted.slots_enu_m
     slots = named_slots(wanted.shape, len(statuses), wanted.spacing_m, wanted.heading_deg)
     return assign_slots(positions_enu_m(statuses), slots)
+
+
+def number_flown(status: Status, change: FormationChange | ReferenceChange) -> int | None:
+    """Number of what this vehicle flies of the kind of the change; None for a reference where it may not lead."""
+    if isinstance(change, FormationChange):
+        return status.formation.slot.formation
+    return status.formation.reference.flown if status.formation.reference else None
 
 
 def newest_report(status: Status) -> str:

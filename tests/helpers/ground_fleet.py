@@ -186,6 +186,7 @@ class DirectedVehicles:
         self.refuses: dict[tuple[int, CommandName], list[str]] = {}  # reasons, one for each refusal
         self.falls: dict[tuple[int, CommandName], str] = {}  # the procedure fails with this event
         self.mute: set[int] = set()
+        self.cancels: set[int] = set()  # vehicles that accept one formation, and have dropped it when its time has come
         self.received: list[tuple[CommandName, tuple[int, ...]]] = []
         self.leads: list[Lead] = []
         self.references: list[ReferenceChange] = []
@@ -233,6 +234,12 @@ class DirectedVehicles:
         return CommandReply(vehicle_id, 1, True, Code.PHASE_CHANGED, "yes", "anna@ground")
 
     def _change_formation(self, vehicle_id: int, change: FormationChange) -> CommandReply:
+        if vehicle_id in self.cancels:
+            self.cancels.remove(vehicle_id)
+            self.change(vehicle_id, reference_s=change.begins_s + 2.0)
+            return CommandReply(vehicle_id, 1, True, Code.FORMATION_ACCEPTED, "begins in 1.0 s", "anna@ground")
+        if reasons := self.refuses.get((vehicle_id, C.FORMATION)):
+            return CommandReply(vehicle_id, 1, False, Code.CHANGE_NOT_IN_TIME, reasons.pop(0), "anna@ground")
         self.change(vehicle_id, slot=FlownSlot(dict(change.slots_enu_m)[vehicle_id], formation=change.number))
         return CommandReply(vehicle_id, 1, True, Code.FORMATION_ACCEPTED, "yes", "anna@ground")
 

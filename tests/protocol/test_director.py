@@ -298,3 +298,18 @@ def test_a_formation_that_is_still_on_its_way_is_not_complete(
     step = TimelineStep(command=C.FORMATION, formation=FormationStep(slots_enu_m=APART), timeout_s=0.6)
     with pytest.raises(FlightFailure, match=r"vehicle 2: its slot is 0\.50 m from that of formation 1"):
         flight.director.fly([step])
+
+
+@pytest.mark.parametrize(
+    ("cancels", "refuses"), [({1, 2}, []), ({1}, ["begins at mission time 1.0 s, which is 3.0 s now"])]
+)
+def test_a_formation_that_did_not_begin_is_given_anew_with_another_begin(
+    flight: DirectedFlight, cancels: set[int], refuses: list[str]
+) -> None:
+    flight.fly(*WHOLE[:4])
+    flight.vehicles.cancels, flight.vehicles.refuses[2, C.FORMATION] = set(cancels), refuses
+    given = len(flight.vehicles.received)
+    step = TimelineStep(command=C.FORMATION, formation=FormationStep(slots_enu_m=APART), timeout_s=5.0)
+    flight.director.fly([step])
+    assert flight.vehicles.received[given:] == [(C.FORMATION, (1, 2))] * 2
+    assert {status.formation.slot.formation for status in flight.vehicles.statuses.values()} == {1}

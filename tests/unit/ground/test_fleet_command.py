@@ -21,8 +21,11 @@ from companion.config.reference import (
 )
 from companion.ground.changes import (
     FleetAction,
+    FormationRequest,
     assign_slots,
+    change_to,
     check_request,
+    named_slots,
     positions_enu_m,
     refusal_of,
     resolve_reference,
@@ -257,3 +260,25 @@ def test_the_default_operator_has_a_valid_name(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr("companion.ground.session.getpass.getuser", no_such_user)
     assert operator_here().startswith("operator@")
+
+
+def test_the_rest_of_a_fleet_gets_a_formation_with_a_slot_for_the_vehicle_that_does_not_report() -> None:
+    fleet = load_fleet(Path(PAIR))
+    only_1 = [status for status in flying(FlightPhase.FORMATION) if status.agent.vehicle_id == 1]
+    slots_enu_m = resolve_slots(FormationRequest("line", None, 4.0, 0.0, 1.0), only_1, fleet)
+    assert set(slots_enu_m) == {1, 2}
+    assert sorted(slots_enu_m.values()) == sorted(named_slots("line", 2, 4.0, 0.0))
+    change = change_to(slots_enu_m, only_1, fleet.slot_speed_m_s)
+    assert change.absent == (2,)
+    assert change_to(slots_enu_m, flying(FlightPhase.FORMATION), fleet.slot_speed_m_s).absent == ()
+
+
+def test_of_a_vehicle_that_does_not_report_the_slot_in_the_fleet_file_counts() -> None:
+    fleet = load_fleet(Path(PAIR))
+    only_1 = [status for status in flying(FlightPhase.FORMATION) if status.agent.vehicle_id == 1]
+    slots_enu_m = resolve_slots(FormationRequest(None, None, None, 0.0, 2.0), only_1, fleet)
+    of_2 = next(member.slot_enu_m for member in fleet.vehicles if member.id == 2)
+    assert slots_enu_m == {
+        1: tuple(2.0 * x for x in FLOWN[1]),
+        2: tuple(2.0 * x for x in of_2),
+    }

@@ -7,7 +7,7 @@ import pytest
 from common import with_fields
 from companion.ground.answers import AnswerKind, Outcome
 from companion.ground.commands import wait_for
-from companion.ground.goals import Goal, end_of, goal_of, progress_text
+from companion.ground.goals import NOT_HELD_S, Goal, end_of, goal_of, progress_text
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName, Lead, ReferenceChange
 from companion.types.flight import FlightPhase, Role
@@ -170,6 +170,57 @@ def test_a_wait_that_takes_too_long_is_ended() -> None:
     ends = [outcome.end for outcome in outcomes.values()]
     assert [end.notice.code for end in ends if end] == [Code.ACTION_TIMED_OUT] * 2
     assert "no new report" in str(ends[1])
+
+
+def formation_report(flown: int, waiting: int, code: Code = Code.FORMATION_ACCEPTED) -> Status:
+    slot = FlownSlot(ZERO3, formation=flown, waiting=waiting, moves_for_s=2.0)
+    return report(
+        P.FORMATION, slot=slot, last_event=Notice(code, "formation 3 does not begin: vehicle 1 does not have it")
+    )
+
+
+class VirtualClock:
+    """Passes the time of each sleep at once."""
+
+    def __init__(self) -> None:
+        self.time_s = 0.0
+
+    def now_s(self) -> float:
+        return self.time_s
+
+    def sleep(self, seconds: float) -> None:
+        self.time_s += seconds
+
+
+@pytest.mark.parametrize(
+    ("reports", "within_s"),
+    [
+        ([formation_report(2, 3), formation_report(2, 2, Code.FORMATION_CANCELLED)], 0.2),
+        ([formation_report(2, 2, Code.FORMATION_CANCELLED)], NOT_HELD_S + 0.2),  # it was never seen waiting
+    ],
+)
+def test_a_change_that_a_vehicle_has_cancelled_ends_the_wait(reports: list[Status], within_s: float) -> None:
+    goal, clock = goal_of(C.FORMATION, FormationChange(3, (), 0.0, 1.0), running=True), VirtualClock()
+    assert goal
+    given = Reported(*({1: one} for one in reports))
+    outcome = wait_for(goal, {1: ACCEPTED}, given.newest, 300.0, lambda _: None, clock)[1]
+    assert outcome.end and not outcome.good
+    assert outcome.end.notice.code is Code.ACTION_FAILED
+    assert "has cancelled it; last event FORMATION_CANCELLED" in outcome.end.notice.text
+    assert clock.time_s <= within_s
+
+
+@pytest.mark.parametrize(("flown", "waiting"), [(2, 3), (3, 3), (3, 4), (4, 4)])
+def test_a_change_that_waits_or_was_replaced_is_not_cancelled(flown: int, waiting: int) -> None:
+    goal = goal_of(C.FORMATION, FormationChange(3, (), 0.0, 1.0), running=True)
+    assert goal and goal.held(formation_report(flown, waiting))
+
+
+def test_a_reference_that_no_longer_waits_is_cancelled() -> None:
+    goal = goal_of(C.REFERENCE, ReferenceChange(3, {}, 0.0), running=True)
+    assert goal
+    assert goal.held(report(P.FORMATION, reference=HeldReference(2, 3)))
+    assert not goal.held(report(P.FORMATION, reference=HeldReference(2, 2)))
 
 
 def test_vehicles_in_one_phase_are_listed_together() -> None:

@@ -41,9 +41,12 @@ def test_slots_that_are_too_close_are_refused_and_shown() -> None:
     assert len(found.paths) == 4
 
 
-def test_a_formation_needs_a_report_of_every_vehicle() -> None:
+def test_a_formation_of_those_that_report_has_a_slot_left_over() -> None:
     some = {i: status for i, status in STATUSES.items() if i != 3}
-    assert preview("formation", {"shape": "line", "spacing_m": 5.0}, some).refused.startswith("no report of vehicle 3")
+    found = preview("formation", {"shape": "line", "spacing_m": 5.0}, some)
+    assert found.refused == ""
+    assert [path.vehicle_id for path in found.paths] == [1, 2, 4]
+    assert preview("formation", {"shape": "line", "spacing_m": 5.0}, {}).refused == "no report of any vehicle"
 
 
 def test_before_a_flight_slots_are_about_the_vehicles() -> None:
