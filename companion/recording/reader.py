@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -85,10 +85,16 @@ class Recording:
         return f"vehicle {self.vehicle_id}" if self.vehicle_id else "ground"
 
     @property
-    def missing_parts(self) -> tuple[int, ...]:
-        """Numbers of the parts that are not here, before the last one that is."""
-        here = {part.header.part for part in self.parts}
-        return tuple(number for number in range(1, max(here)) if number not in here)
+    def missing_parts(self) -> tuple[str, ...]:
+        """A sentence for each gap before the last part that is here, however wide: a header may claim any number."""
+        here = [0, *(part.header.part for part in self.parts)]
+        gaps = [(before + 1, after - 1) for before, after in pairwise(here) if after > before + 1]
+        return tuple(
+            f"part {first} of the recording is not here"
+            if first == last
+            else f"parts {first} to {last} of the recording are not here"
+            for first, last in gaps
+        )
 
     def undecoded(self, topics: Collection[str], warn: Warn) -> Iterator[RawMessage]:
         """The messages of these topics as stored. `warn` gets one line for each file with damage, after its messages."""
@@ -115,7 +121,7 @@ class Recording:
         Raises MissingTicksError at a tick that is not recorded: those after it depend on it.
         """
         if self.missing_parts:
-            raise MissingTicksError(f"part {self.missing_parts[0]} of the recording is not here")
+            raise MissingTicksError(self.missing_parts[0])
         number, pending = 0, None
         for part in self.parts:
             for topic, sequence, _, data in _messages(part, (INBOX, OUTBOX), warn):

@@ -118,18 +118,19 @@ def _together(same: Sequence[FindingRow]) -> FindingRow:
 def _by_time(findings: Sequence[Finding]) -> list[FindingRow]:
     """One row for the same finding of several vehicles at one time."""
     rows: list[FindingRow] = []
+    newest: dict[
+        tuple[Code, Severity, str], int
+    ] = {}  # row of the last finding that began one; they are in order of time
     for one in findings:
         ids = () if one.vehicle_id is None else (one.vehicle_id,)
-        same = next((n for n, row in enumerate(rows) if _is_same(row.finding, one)), None)
-        if same is None or not ids:
+        key = (one.code, one.severity, one.text)
+        same = newest.get(key)
+        if same is None or not ids or one.time_s - rows[same].finding.time_s > SAME_TIME_S:
+            newest[key] = len(rows)
             rows.append(FindingRow(one, ids))
         else:
             rows[same] = FindingRow(rows[same].finding, tuple(sorted({*rows[same].vehicle_ids, *ids})))
     return rows
-
-
-def _is_same(a: Finding, b: Finding) -> bool:
-    return (a.code, a.severity, a.text) == (b.code, b.severity, b.text) and abs(a.time_s - b.time_s) <= SAME_TIME_S
 
 
 def in_order(findings: Iterable[Finding]) -> tuple[Finding, ...]:

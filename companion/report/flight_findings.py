@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -10,7 +11,7 @@ from companion.config.fleet import FleetConfig
 from companion.core.safety.failsafe import FAILSAFES, STOP, FailsafeSettings, schedule
 from companion.report.distances import PairDistance
 from companion.report.findings import Episode, Finding, FindingKind, Severity, finding, runs
-from companion.report.flight import Bools, FlightRecords, GivenCommand, VehicleLog
+from companion.report.flight import Bools, FlightRecords, Floats, GivenCommand, VehicleLog
 from companion.types.code_table import code_entries
 from companion.types.flight import FLAG_TEXTS, STREAMING, FailsafeAction, HealthFlag
 from companion.types.notices import Code
@@ -95,7 +96,7 @@ def streams_ended(vehicle: VehicleLog) -> Iterator[Finding]:
     ended = np.flatnonzero(streaming[:-1] & ~streaming[1:]) + 1
     ended_s = vehicle.ticks.time_s[ended[vehicle.in_air()[ended]]]
     for event in vehicle.events:
-        if event.code in STOPPING_FLAGS and np.any(np.abs(ended_s - event.time_s) < SAME_TICK_S):
+        if event.code in STOPPING_FLAGS and _is_near(ended_s, event.time_s):
             yield finding(
                 event.code,
                 vehicle.vehicle_id,
@@ -104,6 +105,12 @@ def streams_ended(vehicle: VehicleLog) -> Iterator[Finding]:
                 kind=FindingKind.FAILSAFE,
                 severity=Severity.CRITICAL,
             )
+
+
+def _is_near(times_s: Floats, time_s: float) -> bool:
+    """Whether one of these rising times is within SAME_TICK_S."""
+    row = int(np.searchsorted(times_s, time_s - SAME_TICK_S, side="right"))
+    return row < times_s.size and bool(times_s[row] < time_s + SAME_TICK_S)
 
 
 def disarmed_in_air(vehicle: VehicleLog) -> Iterator[Finding]:
@@ -123,13 +130,17 @@ def _height_text(vehicle: VehicleLog, time_s: float) -> str:
 
 def refused_commands(vehicle: VehicleLog) -> Iterator[Finding]:
     """One finding for each command; its code is that of the answer. One that was accepted soon after is information."""
+    accepted_s: dict[tuple[str, str], list[float]] = {}
+    for one in sorted(vehicle.commands, key=lambda command: command.time_s):
+        if one.accepted:
+            accepted_s.setdefault((one.name, one.operator), []).append(one.time_s)
     for command in vehicle.commands:
         label = f"command {command.name} (number {command.number}, {command.operator})"
         if command.answered_s is None:
             text = f"{label} has no recorded answer"
             yield finding(Code.NO_REPLY, vehicle.vehicle_id, command.time_s, text)
         elif not command.accepted and command.code is not None:
-            again_s = _accepted_after_s(vehicle, command)
+            again_s = _accepted_after_s(accepted_s.get((command.name, command.operator), []), command)
             text = f"{label} refused: {command.text}" + ("" if again_s is None else f"; accepted {again_s:.1f} s later")
             severity = Severity.WARNING if again_s is None else Severity.INFO
             yield finding(
@@ -137,14 +148,11 @@ def refused_commands(vehicle: VehicleLog) -> Iterator[Finding]:
             )
 
 
-def _accepted_after_s(vehicle: VehicleLog, refused: GivenCommand) -> float | None:
-    """After what time the same operator gave the same command with success; None if not soon."""
-    after_s = [
-        one.time_s - refused.time_s
-        for one in vehicle.commands
-        if one.accepted and (one.name, one.operator) == (refused.name, refused.operator)
-    ]
-    return min((time_s for time_s in after_s if 0.0 <= time_s <= GIVEN_AGAIN_S), default=None)
+def _accepted_after_s(accepted_s: Sequence[float], refused: GivenCommand) -> float | None:
+    """After what time it was given again with success, by the rising times at which it was; None if not soon."""
+    row = bisect_left(accepted_s, refused.time_s)
+    again_s = accepted_s[row] - refused.time_s if row < len(accepted_s) else GIVEN_AGAIN_S + 1.0
+    return again_s if again_s <= GIVEN_AGAIN_S else None
 
 
 def lost_peers(flight: FlightRecords) -> Iterator[Finding]:

@@ -43,6 +43,7 @@ from companion.report.flight import (
     Words,
 )
 from companion.types.commands import Command, CommandReply
+from companion.types.flight import HealthFlag
 from companion.types.notices import Notice
 from companion.types.status import Status
 
@@ -121,7 +122,7 @@ def _read_start(recording: Recording, folder: str) -> StartRecords:
             problems.append(f"after {MOST[topic]} records of {topic} the rest of the recording is left out")
             break
         read[topic].append((now_s, value))
-    problems += [f"part {number} of the recording is not here" for number in recording.missing_parts]
+    problems += recording.missing_parts
     return StartRecords(
         recording.header,
         decisions=[record for _, record in read[DECISION]],
@@ -234,6 +235,7 @@ VECTORS = (
     "wind_acceleration_enu_m_s2",
 )
 NO_VECTOR = (np.nan, np.nan, np.nan)
+LONGEST_WORD = 80  # each row has the room of the longest
 LARGEST = 1e9  # a larger recorded value is damaged, whatever its unit
 
 
@@ -285,7 +287,7 @@ def _possible(values: Floats) -> Floats:
 
 def _words(records: Iterable[Any], name: str) -> Words:
     get = attrgetter(name)
-    return np.array([get(record) for record in records], dtype=np.str_)
+    return np.array([get(record)[:LONGEST_WORD] for record in records], dtype=np.str_)
 
 
 def _neighbours(records: Sequence[DecisionRecord]) -> Mapping[int, NeighbourUse]:
@@ -303,8 +305,9 @@ def _neighbours(records: Sequence[DecisionRecord]) -> Mapping[int, NeighbourUse]
 
 def _flags(records: Sequence[DecisionRecord]) -> Mapping[str, Bools]:
     columns: dict[str, Bools] = {}
+    known = set(HealthFlag)  # a column for each word of a damaged recording would fill the memory
     for row, record in enumerate(records):
-        for flag in record.flags:
+        for flag in known.intersection(record.flags):
             if flag not in columns:
                 columns[flag] = np.zeros(len(records), dtype=np.bool_)
             columns[flag][row] = True

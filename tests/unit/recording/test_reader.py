@@ -84,10 +84,16 @@ def test_the_same_part_twice_is_used_once(tmp_path: Path, lines: list[str]) -> N
 def test_a_missing_part_ends_the_ticks(tmp_path: Path, lines: list[str]) -> None:
     write_ticks(tmp_path / "a.mcap", range(1, 4), replace(HEADER, part=2))
     (recording,) = recordings(tmp_path, lines.append)
-    assert recording.missing_parts == (1,)
+    assert recording.missing_parts == ("part 1 of the recording is not here",)
     assert read_numbers(recording, lines.append) == [1, 2, 3]
     with pytest.raises(MissingTicksError, match="part 1"):
         list(recording.ticks(lines.append))
+
+
+def test_however_many_parts_are_missing_one_line_names_them(tmp_path: Path, lines: list[str]) -> None:
+    write_ticks(tmp_path / "a.mcap", range(1, 4), replace(HEADER, part=2**62))
+    (recording,) = recordings(tmp_path, lines.append)
+    assert recording.missing_parts == (f"parts 1 to {2**62 - 1} of the recording are not here",)
 
 
 @pytest.mark.parametrize(

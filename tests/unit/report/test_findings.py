@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 from msgspec.structs import replace
 
-from common import with_fields
+from common import count_calls, with_fields
 from companion.recording.records import DecisionRecord, TimingRecord
 from companion.report.distances import grid_of, pair_distances
-from companion.report.findings import Finding, FindingKind, Severity
+from companion.report.findings import Finding, FindingKind, Severity, finding, rows_of
+from companion.report.flight import GivenCommand
+from companion.report.flight_findings import refused_commands
 from companion.report.summary import all_findings
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName
@@ -231,3 +235,33 @@ def test_a_clock_that_could_not_be_compared_is_named() -> None:
     flight = flight_of(starts, unaligned=(2,))
     found = all_findings(flight, pair_distances(flight, grid_of(flight)))
     assert short(found) == [(WARNING, Code.CLOCK_NOT_ALIGNED, 2, 0.0)]
+
+
+def test_the_work_for_findings_grows_with_their_number() -> None:
+    def of(count: int) -> int:
+        many = [finding(Code.PROCEDURE_FAILED, 1 + n % 2, 0.01 * n, f"failed {n}") for n in range(count)]
+        with count_calls() as work:
+            rows_of(many)
+        return work.calls
+
+    assert of(4000) < 3 * of(2000)
+
+
+def test_flags_that_do_not_exist_and_long_words_make_no_columns() -> None:
+    (start,) = records_of(1, 30.0)
+    start.decisions[:] = [
+        replace(record, flags=(f"FLAG_{record.now_s}",), nearest="x" * 10_000) for record in start.decisions
+    ]
+    (vehicle,) = flight_of([start]).vehicles
+    assert set(vehicle.ticks.flags) <= set(HealthFlag)
+    assert vehicle.ticks.nearest.nbytes < 1e6
+
+
+def test_a_refused_command_is_information_only_where_it_is_soon_accepted() -> None:
+    (vehicle,) = flight_of(records_of(1, 30.0)).vehicles
+    commands = [
+        GivenCommand(t, "hold", n, "anna", t, ok, Code.WRONG_PHASE, "")
+        for n, (t, ok) in enumerate([(1.0, True), (2.0, False), (4.0, True), (10.0, False), (15.1, True)])
+    ]
+    found = list(refused_commands(dataclasses.replace(vehicle, commands=tuple(commands))))
+    assert [(one.time_s, one.severity.value) for one in found] == [(2.0, "info"), (10.0, "warning")]
