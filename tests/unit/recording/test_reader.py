@@ -91,9 +91,9 @@ def test_a_missing_part_ends_the_ticks(tmp_path: Path, lines: list[str]) -> None
 
 
 def test_however_many_parts_are_missing_one_line_names_them(tmp_path: Path, lines: list[str]) -> None:
-    write_ticks(tmp_path / "a.mcap", range(1, 4), replace(HEADER, part=2**62))
+    write_ticks(tmp_path / "a.mcap", range(1, 4), replace(HEADER, part=99_999))
     (recording,) = recordings(tmp_path, lines.append)
-    assert recording.missing_parts == (f"parts 1 to {2**62 - 1} of the recording are not here",)
+    assert recording.missing_parts == ("parts 1 to 99998 of the recording are not here",)
 
 
 @pytest.mark.parametrize(
