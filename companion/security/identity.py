@@ -158,6 +158,8 @@ def load_identity(folder: Path, now: datetime, credentials: Path | None = None) 
     A credential identity.key is used instead of private.key. Raises IdentityError for what other participants would refuse.
     """
     authority_file, certificate_file = folder / AUTHORITY_FILE, folder / CERTIFICATE_FILE
+    for path in (folder, authority_file, certificate_file, folder / ADMITTED_FILE):
+        _check_not_writable(path)
     authority, certificate = (_certificate(file, _content(file)[0]) for file in (authority_file, certificate_file))
     key_file = _key_file(folder, credentials)
     _check_key(key_file, is_credential=key_file.parent != folder, certificate=certificate, shown_in=certificate_file)
@@ -226,6 +228,16 @@ def _key_file(folder: Path, credentials: Path | None) -> Path:
         if content.strip() != NO_CREDENTIAL:
             return credentials / KEY_CREDENTIAL
     return folder / KEY_FILE
+
+
+def _check_not_writable(path: Path) -> None:
+    """Who writes the folder or a certificate in it decides whom this participant believes."""
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return  # what reads it says so
+    if mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise IdentityError(path, f"other users of this computer may write it; chmod go-w {path}")
 
 
 def _check_key(file: Path, *, is_credential: bool, certificate: x509.Certificate, shown_in: Path) -> None:

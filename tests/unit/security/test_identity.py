@@ -86,6 +86,16 @@ def test_a_key_that_others_may_read_is_refused(folder: Path, mode: int) -> None:
     refused(folder, "private.key", f"chmod 600 {folder / 'private.key'}")
 
 
+@pytest.mark.parametrize("name", ["", "authority.pem", "certificate.pem", "admitted.json"])
+@pytest.mark.parametrize("mode", [0o020, 0o002])
+def test_what_others_may_write_is_refused(folder: Path, name: str, mode: int) -> None:
+    path = folder / name
+    path.chmod(path.stat().st_mode | mode)
+    refused(folder, str(path), f"chmod go-w {path}")
+    path.chmod(path.stat().st_mode & ~mode)
+    assert load_identity(folder, NOW).fleet == "alpha"
+
+
 def test_the_key_of_another_participant_is_refused(folder: Path, fleets: Path) -> None:
     shutil.copy(fleets / "alpha/copy/vehicle-2/identity/private.key", folder)
     refused(folder, "private.key", "is not the key of")
