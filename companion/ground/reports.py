@@ -93,7 +93,7 @@ def no_report(wait_s: float) -> Notice:
 
 F = HealthFlag
 
-ESTIMATOR = frozenset({F.POSITION_JUMPED, F.ESTIMATOR_BAD})
+ESTIMATOR = frozenset({F.POSITION_JUMPED, F.ESTIMATOR_BAD, F.POSITION_UNAIDED})
 ORIGIN = frozenset({F.FRAME_UNKNOWN, F.FRAME_CONTRADICTED, F.OUTSIDE_FENCE})
 OTHER_CHECKS = ESTIMATOR | ORIGIN | BATTERY_FLAGS
 LATER = frozenset({F.LEADER_LOST, F.LEADER_AWAITED})  # a leader publishes no beacon before the fleet is in the air

@@ -25,6 +25,7 @@ from companion.types.autopilot import (
     LandedSample,
     LandedState,
     OriginSample,
+    PositionAid,
     PositionSample,
     SystemSample,
     TextSample,
@@ -110,18 +111,29 @@ def global_position(message: MavlinkMessage, received_s: float) -> GlobalPositio
 
 
 def estimator_status(message: MavlinkMessage, received_s: float) -> EstimatorSample:
-    """ESTIMATOR_STATUS, with accuracies of one sigma; the horizontal one covers both axes. Flags of 0 are not reported."""
+    """ESTIMATOR_STATUS, with accuracies of one sigma; the horizontal one covers both axes. Flags of 0 are not reported.
+
+    PX4 clears the prediction of the relative position 0.5 s after it has lost external vision, the others 4 s later.
+    """
     flags = message.flags
     usable = flags & ESTIMATES == ESTIMATES and flags & POSITIONS
     horizontal_m = round(message.pos_horiz_accuracy, LENGTH_DECIMALS)
     vertical_m = round(message.pos_vert_accuracy, LENGTH_DECIMALS)
-    return EstimatorSample(received_s, horizontal_m, vertical_m, not flags or bool(usable))
+    if not flags:
+        return EstimatorSample(received_s, horizontal_m, vertical_m)
+    aid = PositionAid.USED if flags & mavlink.ESTIMATOR_PRED_POS_HORIZ_REL else PositionAid.NOT_USED
+    return EstimatorSample(received_s, horizontal_m, vertical_m, bool(usable), aid)
 
 
 def gps_error(message: MavlinkMessage, received_s: float) -> EstimatorSample:
-    """GPS_RAW_INT accuracies, in mm, 0 where unknown. For autopilots that do not report the error of their estimator."""
+    """GPS_RAW_INT accuracies, in mm, 0 where unknown. For autopilots that do not report the error of their estimator.
+
+    Receivers without a fix report 2^32 - 1 mm.
+    """
     known = message.h_acc > 0 and message.v_acc > 0
-    return EstimatorSample(received_s, message.h_acc / 1e3 if known else nan, message.v_acc / 1e3 if known else nan)
+    horizontal_m, vertical_m = (message.h_acc / 1e3, message.v_acc / 1e3) if known else (nan, nan)
+    aid = PositionAid.FIX if message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX else PositionAid.NO_FIX
+    return EstimatorSample(received_s, horizontal_m, vertical_m, aid=aid)
 
 
 def acknowledgement(message: MavlinkMessage, received_s: float) -> AckSample:

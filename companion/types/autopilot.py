@@ -38,6 +38,16 @@ class LandedState(IntEnum):
     LANDING = 4
 
 
+class PositionAid(StrEnum):
+    """Whether the estimator uses a sensor of position or velocity, or whether GPS has a 3D fix."""
+
+    NOT_REPORTED = "not_reported"
+    USED = "used"
+    NOT_USED = "not_used"
+    FIX = "fix"
+    NO_FIX = "no_fix"
+
+
 class PositionError(Struct, frozen=True, gc=False):
     """One sigma of the position as the estimator reports it, horizontal and vertical."""
 
@@ -75,7 +85,8 @@ class VehicleState(Struct, frozen=True, gc=False):
     frame_contradicted: bool = False  # the autopilot's origin and its global position disagree
     held_back_m: float = 0.0  # distance between the position used and the autopilot's
     jump_time_s: float = float("-inf")  # when the autopilot's position last jumped
-    position_error: PositionError | None = None  # None if not reported or stale
+    position_error: PositionError | None = None  # None if it was never reported; it grows while the position is unaided
+    position_unaided: bool = False  # the autopilot has lost GPS or vision, and dead-reckons
     estimator_healthy: bool = True  # as last reported; True where it is not reported
     battery_percent: float = -1.0  # -1 where unknown
 
@@ -211,12 +222,16 @@ class GlobalPositionSample(Struct, frozen=True, gc=False):
 
 
 class EstimatorSample(Struct, frozen=True, gc=False):
-    """Position error that the estimator reports, one sigma; not finite if unknown. `healthy`: its position may be used."""
+    """Position error that the estimator reports, one sigma; not finite if unknown. `healthy`: its position may be used.
+
+    `aid`: what it says of the sensors that aid the position.
+    """
 
     received_s: float
     horizontal_error_m: float
     vertical_error_m: float
     healthy: bool = True
+    aid: PositionAid = PositionAid.NOT_REPORTED
 
 
 class AckSample(Struct, frozen=True, gc=False):

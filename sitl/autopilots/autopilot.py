@@ -13,11 +13,11 @@ from typing import Any, ClassVar, Protocol
 from companion.geometry.frames import enu_from_geodetic, euler_from_quaternion, geodetic_from_enu
 from companion.types.autopilot import AutopilotKind
 from companion.types.errors import CompanionError
-from companion.types.values import Vector3
+from companion.types.values import ZERO3, Vector3
 from sitl.autopilots.logs import StandInLogs
 from sitl.autopilots.parameters import AutopilotData, StandInParameters
 from sitl.vehicle.automatic_flight import AutomaticFlight, Course, GroundContact, Speeds
-from sitl.vehicle.config import AutopilotFile, StandIn
+from sitl.vehicle.config import AutopilotFile, PositionLoss, StandIn
 from sitl.vehicle.control import AttitudeSetpoint
 from sitl.vehicle.quadrotor import MOTORS_OFF, Quadrotor
 
@@ -45,11 +45,16 @@ class Incidents:
         self._batteries = sorted((b for b in stand_in.batteries if b.vehicle == file.id), key=lambda b: b.at_s)
         self._flights = sorted((p for p in stand_in.pilots if p.vehicle == file.id), key=lambda p: p.at_s)
         self._refusals = [r for r in stand_in.refusals if r.vehicle == file.id]
+        self._losses = sorted((p for p in stand_in.position_losses if p.vehicle == file.id), key=lambda p: p.at_s)
+        self.loss: PositionLoss | None = None  # under way
         self.course: Course | None = None
         self.next_s = self._next_s()  # when the next reset or pilot is due
 
     def _next_s(self) -> float:
-        return min([r.at_s for r in self._resets[:1]] + [p.at_s for p in self._flights[:1]], default=inf)
+        if self.loss:
+            return -inf  # its drift grows with every step
+        due_s = [r.at_s for r in self._resets[:1]] + [p.at_s for p in self._flights[:1]]
+        return min(due_s + [p.at_s for p in self._losses[:1]], default=inf)
 
     def reset(self, now_s: float) -> Vector3 | None:
         """The shift of an estimator reset that is due, ENU in metres. To be called until it returns None."""
@@ -58,6 +63,14 @@ class Incidents:
             self.next_s = self._next_s()
             return shift_enu_m
         return None
+
+    def lose_position(self, now_s: float) -> None:
+        """A loss of the position that is due begins or ends."""
+        if self.loss and self.loss.until_s <= now_s:
+            self.loss = None
+        elif self._losses and self._losses[0].at_s <= now_s:
+            self.loss = self._losses.pop(0)
+        self.next_s = self._next_s()
 
     def pilot_takes_over(self, now_s: float) -> bool:
         """Whether a pilot takes over now, to fly `course`."""
@@ -172,6 +185,21 @@ class Autopilot(ABC):
         return True
 
     @property
+    def reports_position(self) -> bool:
+        """Whether it sends its local position."""
+        return self.has_position
+
+    @property
+    def loss(self) -> PositionLoss | None:
+        """The loss of GPS or vision that is under way."""
+        return self._incidents.loss
+
+    @property
+    def position_lost_s(self) -> float:
+        """For how long it has dead-reckoned; 0 while it does not."""
+        return self.time_s - self._incidents.loss.at_s if self._incidents.loss else 0.0
+
+    @property
     def has_origin(self) -> bool:
         """Whether it has an origin and a home."""
         return True
@@ -264,6 +292,14 @@ class Autopilot(ABC):
         """Estimator resets that are due, and a pilot who takes over."""
         while (shift_enu_m := self._incidents.reset(self.time_s)) is not None:
             self.reset_estimator(shift_enu_m)
+        self._incidents.lose_position(self.time_s)
+        if loss := self._incidents.loss:
+            (x, y, z), lost_s = loss.drift_enu_m_s2, self.position_lost_s
+            self.quad.drift_m_s = (x * lost_s, y * lost_s, z * lost_s)
+            half_s2 = 0.5 * lost_s * lost_s
+            self.quad.drift_m = (x * half_s2, y * half_s2, z * half_s2)
+        else:
+            self.quad.drift_m = self.quad.drift_m_s = ZERO3
         if self._incidents.pilot_takes_over(self.time_s) and self.armed and self._ground.flies:
             self._enter_pilot_mode()
 

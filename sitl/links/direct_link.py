@@ -57,7 +57,7 @@ def _mode(autopilot: Autopilot, received_s: float) -> Samples:
 
 
 def _position(autopilot: Autopilot, received_s: float) -> Samples:
-    if not autopilot.has_position:
+    if not autopilot.reports_position:
         return ()
     x, y, z, vx, vy, vz = _FLOATS.unpack(
         _FLOATS.pack(*autopilot.quad.estimated_position_local_enu_m(), *autopilot.quad.estimated_velocity_enu_m_s())
@@ -71,9 +71,11 @@ def _thrust(autopilot: Autopilot, received_s: float) -> Samples:
 
 
 def _error(autopilot: Autopilot, received_s: float) -> Samples:
-    healthy = telemetry.estimator_status(estimator_status(autopilot), received_s).healthy
-    horizontal_m, vertical_m = _TWO_FLOATS.unpack(_TWO_FLOATS.pack(*autopilot.quad.reported_error_m))
-    return (EstimatorSample(received_s, horizontal_m, vertical_m, healthy),)
+    message = estimator_status(autopilot)
+    errors_m = _TWO_FLOATS.unpack(_TWO_FLOATS.pack(message.pos_horiz_accuracy, message.pos_vert_accuracy))
+    status = telemetry.estimator_status(message, received_s)
+    horizontal_m, vertical_m = errors_m
+    return (EstimatorSample(received_s, horizontal_m, vertical_m, status.healthy, status.aid),)
 
 
 # The attitude is without the 32-bit quaternion, which changes it by less than a microradian.

@@ -129,6 +129,23 @@ class PilotedFlight(Section, frozen=True):
     velocity_enu_m_s: PositionM
 
 
+class PositionLoss(Section, frozen=True):
+    """GPS or external vision is lost, and the autopilot dead-reckons.
+
+    As measured: PX4 for 4.65 s, then it lands if it holds; ArduCopter for 7 s, then it lands.
+
+    until_s: when the aid is back
+    drift_enu_m_s2: acceleration error of the dead reckoning
+    receiver: what GPS_RAW_INT says: `silent`: no receiver, accuracies of 0; `jammed`: no fix, accuracies of 2^32 - 1 mm
+    """
+
+    vehicle: VehicleId
+    at_s: FlightTime
+    until_s: FlightTime = 36_000.0
+    drift_enu_m_s2: PositionM = (0.05, 0.0, 0.0)
+    receiver: Literal["silent", "jammed"] = "silent"
+
+
 class ModeRefusal(Section, frozen=True):
     """Mode changes that one flying autopilot refuses, as without a position.
 
@@ -152,6 +169,7 @@ class StandIn(Section, frozen=True):
     batteries: battery charges; without any, they are full
     pilots: vehicles that a pilot takes over
     refusals: mode changes that autopilots refuse from then on
+    position_losses: vehicles that lose GPS or vision
     parameters: autopilot parameters by name, for those that the stand-in has
     """
 
@@ -165,6 +183,7 @@ class StandIn(Section, frozen=True):
     batteries: tuple[BatteryLevel, ...] = ()
     pilots: tuple[PilotedFlight, ...] = ()
     refusals: tuple[ModeRefusal, ...] = ()
+    position_losses: tuple[PositionLoss, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
 
     def sensor_model(self) -> Sensors:

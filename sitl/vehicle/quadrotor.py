@@ -48,6 +48,7 @@ class Quadrotor:
         self.reported_error_m = (hypot(sd_x, sd_y), sd_z)  # one sigma, in the plane and in height
         self.world_origin = file.world_origin.as_tuple()
         self._shift_m = ZERO3
+        self.drift_m = self.drift_m_s = ZERO3  # of the estimate, by dead reckoning
         about = file.start_enu_m if file.origin_enu_m is None else file.origin_enu_m
         x, y, z = (a + origin_noise.gauss(0.0, sd) for a, sd in zip(about, sensors.origin_sd_m, strict=True))
         self.set_origin(geodetic_from_enu((x, y, z), self.world_origin))
@@ -101,12 +102,14 @@ class Quadrotor:
         x, y, z = self.position_enu_m
         ex, ey, ez = self._error.position_m
         ox, oy, oz = self._local_zero_enu_m
-        return (x + ex - ox, y + ey - oy, z + ez - oz)
+        dx, dy, dz = self.drift_m
+        return (x + ex - ox + dx, y + ey - oy + dy, z + ez - oz + dz)
 
     def estimated_velocity_enu_m_s(self) -> Vector3:
         x, y, z = self.velocity_enu_m_s
         ex, ey, ez = self._error.velocity_m_s
-        return (x + ex, y + ey, z + ez)
+        dx, dy, dz = self.drift_m_s
+        return (x + ex + dx, y + ey + dy, z + ez + dz)
 
     def estimated_quaternion(self) -> Quaternion:
         """Estimated attitude, FLU to ENU; every loop of the autopilot uses it."""

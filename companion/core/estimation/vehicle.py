@@ -14,6 +14,7 @@ from typing import Any
 
 from msgspec import Struct
 
+from companion.core.estimation.accuracy import PositionAccuracy
 from companion.core.estimation.corrections import RELEASE_M_S, PositionReset, VelocityCorrection
 from companion.geometry.frames import enu_from_geodetic
 from companion.geometry.vectors import mean
@@ -27,7 +28,6 @@ from companion.types.autopilot import (
     LandedState,
     ModeSample,
     OriginSample,
-    PositionError,
     PositionSample,
     RequestOrigin,
     SystemSample,
@@ -56,8 +56,6 @@ class Perception(Struct, frozen=True, gc=False):
 
 MAX_LOCAL_M = 100_000.0  # the 32-bit floats of LOCAL_POSITION_NED lose centimetres well below this
 MAX_SPEED_M_S = 100.0
-MAX_ERROR_M = 10_000.0
-ERROR_AGE_S = 5.0  # an error estimate older than this is dropped
 REBOOT_S = 1.0  # time_boot_ms decreasing by more is a reboot, by less a reordered datagram
 EVENT_PERIOD_S = 1.0  # repeated jumps are reported no more often
 
@@ -82,7 +80,8 @@ class VehicleTracker:
         self._ground_up_m: float | None = None if height_from_takeoff else 0.0
         self._follows_ground = height_from_takeoff
         self._position: PositionSample | None = None
-        self._jump_s = self._error_s = self._origin_asked_s = float("-inf")
+        self._accuracy = PositionAccuracy(uses_gps=fleet_origin is not None)
+        self._jump_s = self._origin_asked_s = float("-inf")
         self._healthy_by_status = self._healthy_by_system = True  # ESTIMATOR_STATUS, SYS_STATUS
         self.rejected: Counter[str] = Counter()
         self._events: list[Notice] = []  # raised while the current telemetry message is processed
@@ -143,8 +142,8 @@ class VehicleTracker:
         if step_s <= -REBOOT_S:
             self._forget_origin()
         self._position = sample
-        if sample.received_s - self._error_s > ERROR_AGE_S:
-            self._fields["position_error"] = None
+        if sample.received_s > self._accuracy.holds_until_s:
+            self._assume_error(sample.received_s)
         offset_m = self._frame.offset_enu_m
         if offset_m is None:
             return
@@ -192,6 +191,7 @@ class VehicleTracker:
     def _forget_origin(self) -> None:
         """Discard origin and position reset after a reboot of the autopilot."""
         self._frame.forget()
+        self._accuracy.restart()
         self._position_reset.restart()
         if self._velocity_correction is not None:
             self._velocity_correction.restart()
@@ -245,12 +245,13 @@ class VehicleTracker:
         self._fields.update(frame_known=self._frame_known(), frame_contradicted=self._frame.contradicted)
 
     def _fold_error(self, sample: EstimatorSample) -> None:
-        horizontal_m, vertical_m = sample.horizontal_error_m, sample.vertical_error_m
-        self._error_s = sample.received_s
-        known = 0.0 <= horizontal_m <= MAX_ERROR_M and 0.0 <= vertical_m <= MAX_ERROR_M
-        self._fields["position_error"] = PositionError(horizontal_m, vertical_m) if known else None
+        self._accuracy.receive(sample)
+        self._assume_error(sample.received_s)
         self._healthy_by_status = sample.healthy
         self._fields["estimator_healthy"] = sample.healthy and self._healthy_by_system
+
+    def _assume_error(self, now_s: float) -> None:
+        self._fields["position_error"], self._fields["position_unaided"] = self._accuracy.at(now_s)
 
     def _fold_system(self, sample: SystemSample) -> None:
         self._healthy_by_system = sample.estimator_healthy

@@ -115,6 +115,14 @@ FAILSAFES: tuple[Failsafe, ...] = (
         limit=ORIGIN_WITHIN_S,
     ),
     Failsafe(C.ESTIMATOR_BAD, "next estimator status", (WARN, Step(A.HOLD, 1.0)), "a good estimator status"),
+    # Autopilots dead-reckon for 5 to 10 s and then land blind: until then the position is still good enough to land by.
+    Failsafe(
+        C.POSITION_UNAIDED,
+        "next report of GPS or the estimator",
+        (WARN, Step(A.LAND, 1.0)),
+        "GPS or vision in use again, with a known accuracy",
+        in_hold=True,
+    ),
     # Autopilots overshoot the commanded limit, and gusts add to it. PX4 waits 0.3 s as well (FD_FAIL_R_TTRI).
     Failsafe(C.TILT_EXCEEDED, "`max_tilt_deg` and {} deg", (WARN, Step(A.HOLD, 0.3)), "less tilt", limit=10.0),
     # Five periods of 50 Hz; in the air at most a few milliseconds are usual (docs/performance.md).
@@ -189,7 +197,11 @@ def flags_notice(flags: Collection[HealthFlag]) -> Notice:
 
 # Positions that peers must not use; positions that the vehicle itself does not know.
 POSITION_WRONG = frozenset({HealthFlag.FRAME_CONTRADICTED, HealthFlag.POSITION_JUMPED})
-POSITION_IN_DOUBT = POSITION_WRONG | {HealthFlag.POSITION_STALE, HealthFlag.FRAME_UNKNOWN}
+POSITION_IN_DOUBT = POSITION_WRONG | {
+    HealthFlag.POSITION_STALE,
+    HealthFlag.FRAME_UNKNOWN,
+    HealthFlag.POSITION_UNAIDED,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,6 +244,8 @@ def health_flags(now_s: float, vehicle: VehicleState, limits: HealthLimits) -> s
     error = vehicle.position_error
     if not vehicle.estimator_healthy or (error and error.horizontal_m > limits.max_position_error_m):
         flags.add(F.ESTIMATOR_BAD)
+    if vehicle.position_unaided:
+        flags.add(F.POSITION_UNAIDED)
     if acos(cos(vehicle.roll_rad) * cos(vehicle.pitch_rad)) > limits.envelope.max_tilt_rad + TILT_MARGIN_RAD:
         flags.add(F.TILT_EXCEEDED)
     percent, low, critical = vehicle.battery_percent, limits.low_battery_percent, limits.critical_battery_percent

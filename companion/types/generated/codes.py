@@ -23,6 +23,7 @@ class Code(StrEnum):
     DUPLICATE_ID = "DUPLICATE_ID"
     SEPARATION_VIOLATED = "SEPARATION_VIOLATED"
     ESTIMATOR_BAD = "ESTIMATOR_BAD"
+    POSITION_UNAIDED = "POSITION_UNAIDED"
     TILT_EXCEEDED = "TILT_EXCEEDED"
     TICK_LATE = "TICK_LATE"
     BATTERY_LOW = "BATTERY_LOW"
@@ -241,6 +242,7 @@ class HealthFlag(StrEnum):
     FRAME_CONTRADICTED = "FRAME_CONTRADICTED"
     POSITION_JUMPED = "POSITION_JUMPED"
     ESTIMATOR_BAD = "ESTIMATOR_BAD"
+    POSITION_UNAIDED = "POSITION_UNAIDED"
     TILT_EXCEEDED = "TILT_EXCEEDED"
     TICK_LATE = "TICK_LATE"
     BATTERY_LOW = "BATTERY_LOW"
@@ -263,6 +265,7 @@ TEXTS: dict[str, str] = {
     "DUPLICATE_ID": "two agents use the same vehicle id",
     "SEPARATION_VIOLATED": "another vehicle is nearer than separation_m",
     "ESTIMATOR_BAD": "the autopilot's estimator reports a bad position",
+    "POSITION_UNAIDED": "the autopilot dead-reckons: GPS or vision is lost",
     "TILT_EXCEEDED": "tilted beyond the limit",
     "TICK_LATE": "the agent's ticks begin late",
     "BATTERY_LOW": "battery below leave_below_percent",

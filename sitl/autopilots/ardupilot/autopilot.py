@@ -40,6 +40,7 @@ DISARMED_AFTER_LANDING_S = 0.6  # in LAND and RTL, after the landing is detected
 AT_HOME_M = 0.5  # within this distance a return is at home
 LEAST_CONE_SLOPE = 0.5  # below it there is no cone
 LOGS_AFTER_DISARMING_S = 15.0
+DEAD_RECKONS_S, EKF_FAILSAFE_S = 7.0, 0.9  # after GPS or vision is lost; and after the position is lost
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,7 @@ class ArduCopter(Autopilot):
         self.log_service = LogService()
         self.mode = self.intended_mode = CopterMode.STABILIZE
         self.start = StartUp(self.armable_after_s(file.stand_in))
-        self.failsafe = False
+        self.failsafe = self.ekf_failsafe = False
         self.signing: SigningSetup | None = None
         self._lifts_off_s = 0.0
         self._followed: AttitudeSetpoint | Course | None = None  # in GUIDED; None holds
@@ -81,7 +82,7 @@ class ArduCopter(Autopilot):
 
     @property
     def has_position(self) -> bool:
-        return self.start.has_position(self.time_s)
+        return self.start.has_position(self.time_s) and self.position_lost_s < DEAD_RECKONS_S
 
     @property
     def system_status(self) -> int:
@@ -211,9 +212,19 @@ class ArduCopter(Autopilot):
                 self.origin_changes += 1
         if self.armed:
             self._check_ground_station()
+            self._check_estimator()
         elif self.start.prearm_is_due(self.time_s):
             for reason in self._obstacles():
                 self.send_text(CRITICAL, f"PreArm: {reason}")
+
+    def _check_estimator(self) -> None:
+        lost = self.position_lost_s >= DEAD_RECKONS_S + EKF_FAILSAFE_S
+        if lost and not self.ekf_failsafe:
+            self.send_text(CRITICAL, "EKF variance")
+            if self.mode in NEED_A_POSITION:
+                self.send_text(CRITICAL, "EKF Failsafe: changed to LAND Mode")
+                self._enter(CopterMode.LAND)
+        self.ekf_failsafe = lost
 
     def _check_ground_station(self) -> None:
         heartbeat_s = self.ground_station_s

@@ -66,12 +66,14 @@ class Px4Mode(Enum):
 # There is no remote control, so these cannot fly the vehicle.
 NEED_A_PILOT = frozenset({Px4Mode.MANUAL, Px4Mode.ALTCTL, Px4Mode.POSCTL, Px4Mode.ACRO, Px4Mode.STABILIZED})
 _TASKS = {Px4Mode.TAKEOFF: Task.TAKE_OFF, Px4Mode.LAND: Task.LAND, Px4Mode.RTL: Task.RETURN}
+NEED_A_POSITION = frozenset({Px4Mode.TAKEOFF, Px4Mode.LOITER, Px4Mode.RTL})
 PREVENT_ARMING = frozenset({Px4Mode.LAND, Px4Mode.RTL})
 
 FAILSAFE_PERIOD_S = 0.1  # the check for lost streams; so the largest delay of a failsafe
 STREAM_LOST_GRACE_S = 0.01  # with the period, a lost stream is detected after 1.01 to 1.12 s
 STREAM_BACK_AFTER_S = 0.03  # a stream that returns counts after this time
 NOT_HEALTHY = "Resolve system health failures first"
+DEAD_RECKONS_S = 4.65  # after GPS or vision is lost
 SINK_M_S = 0.85  # of a manual mode without a pilot; 0.7 to 1.0 was measured
 LANDING_SLOWS_M = (5.0, 10.0)  # MPC_LAND_ALT2 and MPC_LAND_ALT1 above home
 
@@ -130,6 +132,14 @@ class Px4(Autopilot):
         return self.mode is Px4Mode.TAKEOFF
 
     @property
+    def has_position(self) -> bool:
+        return self.position_lost_s < DEAD_RECKONS_S
+
+    @property
+    def reports_position(self) -> bool:
+        return True  # also without one, for ever
+
+    @property
     def streaming(self) -> bool:
         """Whether the newest setpoint is at most COM_OF_LOSS_T old."""
         return self.time_s - self._stream.newest_s <= self.parameters["COM_OF_LOSS_T"]
@@ -185,7 +195,12 @@ class Px4(Autopilot):
 
     def set_mode(self, mode: Px4Mode, takeoff_altitude_amsl_m: float | None = None) -> bool:
         """A mode change on request. Disarmed, every mode is accepted; armed, the mode must be able to fly the vehicle."""
-        can_fly = mode not in NEED_A_PILOT | {Px4Mode.MISSION} and (mode is not Px4Mode.OFFBOARD or self.streaming)
+        lost = mode in NEED_A_POSITION and not self.has_position
+        can_fly = (
+            not lost
+            and mode not in NEED_A_PILOT | {Px4Mode.MISSION}
+            and (mode is not Px4Mode.OFFBOARD or self.streaming)
+        )
         if self.armed and (not can_fly or self._incidents.refuses(mode.name, self.time_s)):
             return False
         if mode is not self.mode or takeoff_altitude_amsl_m is not None:
@@ -274,6 +289,8 @@ class Px4(Autopilot):
             self._ground_station_failsafe_s = self.time_s
             hold_s = self.parameters["COM_FAIL_ACT_T"]  # the pilot may take over in this time
             self._activate_failsafe("LOITER", f": entering Hold for {hold_s:.0f} seconds")
+        elif not self.has_position and self.mode in NEED_A_POSITION:
+            self._activate_failsafe("LAND")
         elif self.mode is Px4Mode.OFFBOARD:
             gap_s = self.time_s - self._stream.newest_s
             if check_is_due and gap_s > self.parameters["COM_OF_LOSS_T"] + STREAM_LOST_GRACE_S:

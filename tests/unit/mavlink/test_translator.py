@@ -25,6 +25,7 @@ from companion.types.autopilot import (
     LandedState,
     ModeSample,
     OriginSample,
+    PositionAid,
     PositionSample,
     RequestOrigin,
     SetMode,
@@ -218,8 +219,8 @@ def test_position_error_is_read_from_estimator_or_gps_receiver() -> None:
         for h_mm, v_mm in ((300, 450), (0, 450))
     )
     px4_s, arducopter_s = Translator(3, AutopilotKind.PX4), Translator(3, AutopilotKind.ARDUPILOT)
-    assert px4_s.telemetry(estimator + receiver, 9.0) == [EstimatorSample(9.0, 0.25, 0.5)]
-    assert arducopter_s.telemetry(receiver, 9.0) == [EstimatorSample(9.0, 0.3, 0.45)]
+    assert px4_s.telemetry(estimator + receiver, 9.0) == [EstimatorSample(9.0, 0.25, 0.5, aid=PositionAid.NOT_USED)]
+    assert arducopter_s.telemetry(receiver, 9.0) == [EstimatorSample(9.0, 0.3, 0.45, aid=PositionAid.FIX)]
     (unknown,) = arducopter_s.telemetry(ignorant, 9.0)
     assert isinstance(unknown, EstimatorSample)
     assert isnan(unknown.horizontal_error_m)

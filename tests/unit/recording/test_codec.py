@@ -70,7 +70,7 @@ def test_numbers_that_are_not_finite_are_null_and_named() -> None:
         "not_finite": ["nan", "inf", "-inf"],
         "now_s": 1.0,
         "telemetry": [
-            ["EstimatorSample", 1.0, None, None, True],
+            ["EstimatorSample", 1.0, None, None, True, "not_reported"],
             ["TextSample", 1.0, 4, "null"],
             ["ParameterSample", 1.0, "P", None],
         ],

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from math import nan
 
+import msgspec
 import pytest
 
 from companion.core.estimation.corrections import RELEASE_M_S
@@ -205,16 +206,21 @@ def test_height_is_unknown_after_a_restart_in_flight() -> None:
 # ---------------------------------------------------------------- its own error
 
 
-def test_position_error_becomes_stale() -> None:
+def test_a_position_error_that_is_reported_no_more_grows() -> None:
     autopilot = flying()
     autopilot.send(autopilot.origin(), EstimatorSample(0.0, 0.3, 0.5))
     assert autopilot.send().position_error == PositionError(0.3, 0.5)
-    assert autopilot.send(ticks=260).position_error is None
+    state = autopilot.send(ticks=260)
+    assert state.position_unaided and state.position_error
+    assert state.position_error.horizontal_m > 1.0 and state.position_error.vertical_m > 0.9
 
 
 @pytest.mark.parametrize("bad", [nan, -0.1, float("inf")])
-def test_invalid_position_error_is_unknown(bad: float) -> None:
-    autopilot = flying()
-    autopilot.send(autopilot.origin(), EstimatorSample(0.0, 0.3, 0.5))
-    assert autopilot.send(EstimatorSample(0.1, bad, 0.5)).position_error is None
-    assert autopilot.send(EstimatorSample(0.2, 0.3, bad)).position_error is None
+def test_an_invalid_position_error_is_unknown(bad: float) -> None:
+    for sample in (EstimatorSample(0.1, bad, 0.5), EstimatorSample(0.1, 0.3, bad)):
+        autopilot = flying()
+        state = autopilot.send(autopilot.origin(), sample)
+        assert state.position_error is None and not state.position_unaided
+        autopilot.send(EstimatorSample(0.2, 0.3, 0.5))
+        state = autopilot.send(msgspec.structs.replace(sample, received_s=0.3))
+        assert state.position_unaided and state.position_error and state.position_error.horizontal_m >= 0.3

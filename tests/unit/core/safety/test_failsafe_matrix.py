@@ -61,6 +61,7 @@ IN_FORMATION: dict[HealthFlag, dict[str, float]] = {
     F.FRAME_CONTRADICTED: {"hold": 0.0},
     F.POSITION_JUMPED: {"hold": 0.0},
     F.ESTIMATOR_BAD: {"warn": 0.0, "hold": 1.0},
+    F.POSITION_UNAIDED: {"warn": 0.0, "hold": 1.0},
     F.TILT_EXCEEDED: {"warn": 0.0, "hold": 0.3},
     F.TICK_LATE: {"warn": 0.0, "hold": 5.0},
     F.BATTERY_LOW: {"warn": 0.0, "hold": 3.0},
@@ -70,10 +71,14 @@ IN_FORMATION: dict[HealthFlag, dict[str, float]] = {
 AFTERWARDS: dict[HealthFlag, dict[str, float]] = {
     F.LEADER_LOST: {"land": 10.0},
     F.FLEET_LINK_LOST: {"land": 15.0},
+    F.POSITION_UNAIDED: {"land": 1.0},
     F.BATTERY_LOW: {"land": 3.0},
     F.BATTERY_CRITICAL: {"land": 3.0},
 }
-IN_A_COMMANDED_HOLD: dict[HealthFlag, dict[str, float]] = {F.BATTERY_CRITICAL: {"land": 3.0}}
+IN_A_COMMANDED_HOLD: dict[HealthFlag, dict[str, float]] = {
+    F.BATTERY_CRITICAL: {"land": 3.0},
+    F.POSITION_UNAIDED: {"land": 1.0},
+}
 STOPS = (F.POSITION_STALE, F.ATTITUDE_STALE, F.MODE_STALE, F.FRAME_UNKNOWN)
 LATCHED = (F.BATTERY_LOW, F.BATTERY_CRITICAL)  # a recovered voltage says nothing
 LATE_FOR_S = 1.0  # TICK_LATE clears so long after the last late tick
@@ -158,6 +163,7 @@ class Vehicle:
             held_back_m=6.0 if F.POSITION_JUMPED in raised else 0.0,
             jump_time_s=0.0 if F.POSITION_JUMPED in raised else -inf,
             position_error=PositionError(6.0 if F.ESTIMATOR_BAD in raised else 0.3, 0.3),
+            position_unaided=F.POSITION_UNAIDED in raised,
             battery_percent=percent,
         )
 
