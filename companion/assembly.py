@@ -179,7 +179,7 @@ def safety_filter_of(fleet: FleetConfig, own_id: int) -> SafetyFilter:
     limit = SpeedLimit(speeds.max_speed_m_s, speeds.max_climb_m_s, speeds.max_descent_m_s)
     return SafetyFilter(
         settings,
-        Bounds(fleet.airspace, limit, braking_m_s2, vertical_m_s2),
+        Bounds(fleet.airspace, limit, braking_m_s2, vertical_m_s2, fleet.takeoff_height_m),
         AccelerationLimits.of_envelope(tan_max_tilt, envelope.min_thrust_ratio, envelope.max_thrust_ratio),
         law_of(fleet.law).gains,
     )

@@ -230,6 +230,7 @@ class SeparationFlight:
             velocity_enu_m_s=(velocity[0], velocity[1], velocity[2]),
             position_time_s=self.now_s,
             armed=body.armed,
+            ground_position_enu_m=(body.position_enu_m[0], body.position_enu_m[1], 0.0),
             position_error=self._noise.reported,
         )
 

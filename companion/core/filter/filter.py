@@ -97,6 +97,8 @@ class SafetyFilter:
         constraints = [barrier.constraint for barrier in barriers]
         constraints += [b.constraint_without_margins for b in barriers if b.constraint_without_margins]
         constraints += self._bounds.constraints(ahead)
+        if vehicle.ground_position_enu_m is not None:
+            constraints.append(self._bounds.floor(ahead, vehicle.ground_position_enu_m[2]))
         constraints += speed
         limits = replace(self._limits, disturbance_enu_m_s2=disturbance_enu_m_s2)
         allowed = filter_acceleration(slowed, constraints, limits)
@@ -115,7 +117,9 @@ class SafetyFilter:
         return Filtered(allowed, SeparationReport(nearest, dist(allowed, wanted_enu_m_s2), violated), removed_m_s2)
 
 
-OBSTACLE, FENCE, SPEED = Rank.OBSTACLE, Rank.FENCE, Rank.SPEED
+GROUND, OBSTACLE, FENCE, SPEED = Rank.GROUND, Rank.OBSTACLE, Rank.FENCE, Rank.SPEED
+UP = (0.0, 0.0, 1.0)
+FLOOR_M = 0.5  # above the ground where the vehicle took off
 BOUNDARY_RESPONSE_1_S = 4.0  # k: how fast b may approach 0; 1/k is longer than the attitude lag
 SLOPE_1_S = 2.0  # approach speed per metre near the boundary
 FASTEST_RETURN_M_S = 1.0  # largest speed back that is demanded beyond the boundary
@@ -147,8 +151,14 @@ class Bounds:
     it. All are evaluated for the state that the attitude lag leads to (`motion.py`).
     """
 
-    def __init__(self, airspace: Airspace, speed: SpeedLimit, level_m_s2: float, vertical_m_s2: float) -> None:
-        """`level_m_s2` and `vertical_m_s2` are the decelerations that the vehicle plans to brake with."""
+    def __init__(
+        self, airspace: Airspace, speed: SpeedLimit, level_m_s2: float, vertical_m_s2: float, lowest_m: float
+    ) -> None:
+        """`level_m_s2` and `vertical_m_s2` are the decelerations that the vehicle plans to brake with.
+
+        `lowest_m`: the least height above the ground that it is to fly at.
+        """
+        self._lowest_m = lowest_m
         self._airspace = airspace
         self._speed = speed
         self._level_m_s2 = level_m_s2
@@ -190,6 +200,12 @@ class Bounds:
         return near + [
             self._constraint(gap, ahead, FENCE) for gap in self._airspace.fence.gaps(position_enu_m, reach_m)
         ]
+
+    def floor(self, ahead: Ahead, ground_m: float) -> Constraint:
+        """Keeps FLOOR_M above the ground at the place of the take-off, or half the height where it flies lower."""
+        height_m = ahead.position_enu_m[2] - ground_m
+        floor_m = min(FLOOR_M, 0.5 * self._lowest_m)
+        return self._constraint((height_m - floor_m + self._airspace.clearance_m, UP), ahead, GROUND)
 
     def _constraint(self, gap: Gap, ahead: Ahead, rank: Rank) -> Constraint:
         distance_m, (nx, ny, nz) = gap

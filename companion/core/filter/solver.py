@@ -28,11 +28,12 @@ class Rank(IntEnum):
     """Which constraints give way first where not all can be met: the largest rank."""
 
     LIMIT = 0  # what the vehicle can fly; never relaxed
-    VEHICLE = 1
-    OBSTACLE = 2
-    FENCE = 3
-    MARGIN = 4  # more distance from a vehicle than separation_m, for what is not known of it
-    SPEED = 5
+    GROUND = 1
+    VEHICLE = 2
+    OBSTACLE = 3
+    FENCE = 4
+    MARGIN = 5  # more distance from a vehicle than separation_m, for what is not known of it
+    SPEED = 6
 
 
 LIMIT, VEHICLE, MARGIN = Rank.LIMIT, Rank.VEHICLE, Rank.MARGIN  # enum member lookup is slow, and every tick needs them

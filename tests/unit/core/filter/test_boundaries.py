@@ -33,7 +33,7 @@ TREE, HOUSE = Cylinder((-40.0, 10.0), 3.0, 0.0, 12.0), Cuboid((30.0, -20.0, 0.0)
 POLE = Cylinder((0.0, -25.0), 0.2, -5.0, 50.0)
 FENCE = Fence((-100.0, -100.0, 0.0), (100.0, 100.0, 30.0), U_SHAPE)
 AIRSPACE = Airspace(FENCE, (TREE, HOUSE, POLE), clearance_m=0.5)
-BOUNDS = Bounds(AIRSPACE, SPEED, 0.5 * GRAVITY_M_S2 * TAN_TILT, 0.5 * GRAVITY_M_S2 * 0.6)
+BOUNDS = Bounds(AIRSPACE, SPEED, 0.5 * GRAVITY_M_S2 * TAN_TILT, 0.5 * GRAVITY_M_S2 * 0.6, 2.0)
 DEEPEST_M = 0.1  # into the clearance, in the flights below
 TICK_S, STEP_S, DELAY_TICKS = 0.02, 0.005, 2
 
