@@ -131,13 +131,6 @@ def has_token(request: web.Request, token: str) -> bool:
     return hmac.compare_digest(request.headers.get(TOKEN_HEADER, "").encode(), token.encode())
 
 
-def has_socket_token(request: web.Request, token: str) -> bool:
-    """Likewise for a WebSocket, which has it in a header or as a subprotocol."""
-    given = request.headers.get("Sec-WebSocket-Protocol", "").split(",")
-    wanted = (TOKEN_PROTOCOL + token).encode()
-    return has_token(request, token) or any(hmac.compare_digest(one.strip().encode(), wanted) for one in given[:4])
-
-
 MOST_CONNECTIONS = 128  # the WebSockets among them; a process may have 1024 open files, those of Zenoh among them
 
 
@@ -181,12 +174,6 @@ class Connections:
 
 
 MOST_CLIENTS = 32
-FOR_TOKEN = 8  # of them, which only holders of the token get
-MOST_OF_ADDRESS = 8  # of one address without the token
-PROTOCOL, TOKEN_PROTOCOL = (
-    "companion",
-    "companion.token.",
-)  # a browser can send a WebSocket's token as a subprotocol alone
 LONGEST_MESSAGE = 1024  # bytes of a client message
 SEND_WITHIN_S = 10.0  # a client that takes longer for one snapshot is closed
 LEAVE_WITHIN_S = 0.3  # at the end of the server
@@ -196,25 +183,10 @@ _decoder = msgspec.json.Decoder(ClientMessage)
 
 
 class Clients:
-    """At most MOST_CLIENTS. Those without the token leave places for its holders, and one address of them gets a few."""
+    """At most MOST_CLIENTS."""
 
     def __init__(self) -> None:
         self._clients: set[_Client] = set()
-        self._without: list[str] = []  # addresses of the clients without the token
-
-    def refusal(self, request: web.Request, token: str) -> web.Response | None:
-        """None where there is a place. `token` is "" for a server without one: then nothing is kept free."""
-        if self.count >= MOST_CLIENTS:
-            return error(503, f"{MOST_CLIENTS} clients are connected already; close one of them")
-        if not token or has_socket_token(request, token):
-            return None
-        if self._without.count(str(request.remote)) >= MOST_OF_ADDRESS:
-            return error(503, f"{MOST_OF_ADDRESS} clients of this address are connected already; close one of them")
-        if len(self._without) >= MOST_CLIENTS - FOR_TOKEN:
-            return error(
-                503, "the places left are for those with the token; open the URL that companion monitor printed"
-            )
-        return None
 
     @property
     def count(self) -> int:
@@ -226,24 +198,10 @@ class Clients:
             client.offer(snapshot)
 
     async def serve(
-        self, request: web.Request, first: bytes, act: Callable[[ClientMessage], None], token: str = ""
-    ) -> web.StreamResponse:
-        """Until the client leaves. `act` gets its messages; a message that is none ends the connection."""
-        address = str(request.remote) if token and not has_socket_token(request, token) else None
-        if address is not None:
-            self._without.append(address)
-        try:
-            return await self._serve(request, first, act)
-        finally:
-            if address is not None:
-                self._without.remove(address)
-
-    async def _serve(
         self, request: web.Request, first: bytes, act: Callable[[ClientMessage], None]
     ) -> web.StreamResponse:
-        socket = web.WebSocketResponse(
-            max_msg_size=LONGEST_MESSAGE, heartbeat=ALIVE_S, compress=False, timeout=2.0, protocols=(PROTOCOL,)
-        )
+        """Until the client leaves. `act` gets its messages; a message that is none ends the connection."""
+        socket = web.WebSocketResponse(max_msg_size=LONGEST_MESSAGE, heartbeat=ALIVE_S, compress=False, timeout=2.0)
         await socket.prepare(request)
         assert request.transport is not None  # the answer to the upgrade went through it
         client = _Client(socket, request.transport)

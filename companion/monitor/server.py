@@ -24,6 +24,7 @@ from msgspec import Struct
 
 from companion.monitor import MonitorError
 from companion.monitor.access import (
+    MOST_CLIENTS,
     Clients,
     Connections,
     add_headers,
@@ -89,10 +90,9 @@ class Site:
     async def _live(self, request: web.Request) -> web.StreamResponse:
         if not web.WebSocketResponse().can_prepare(request):
             return error(426, "expected a WebSocket; GET /api/v1/snapshot gives one snapshot")
-        token = self._token if self._commander else ""
-        if refusal := self.clients.refusal(request, token):
-            return refusal
-        return await self.clients.serve(request, self._encoded, self._station.act, token)
+        if self.clients.count >= MOST_CLIENTS:
+            return error(503, f"{MOST_CLIENTS} clients are connected already; close one of them")
+        return await self.clients.serve(request, self._encoded, self._station.act)
 
     async def _snapshot(self, _request: web.Request) -> web.StreamResponse:
         return _json(self._station.newest)

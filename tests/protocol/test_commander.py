@@ -7,7 +7,6 @@ import threading
 from collections.abc import Awaitable, Callable
 
 import pytest
-from aiohttp import ClientSession, WSServerHandshakeError
 from msgspec.structs import replace
 
 from common import with_fields
@@ -16,7 +15,6 @@ from companion.ground.changes import FleetAction
 from companion.ground.commands import check_content
 from companion.ground.reports import Check
 from companion.ground.session import FleetSession
-from companion.monitor.access import MOST_OF_ADDRESS
 from companion.monitor.api import TOKEN_HEADER
 from companion.monitor.commander import readiness_view
 from companion.types.commands import Command, CommandName, CommandReply
@@ -56,27 +54,6 @@ def test_no_command_without_the_token(token: str | None) -> None:
             assert (status, "token" in answer["error"]) == (403, True)
         assert (await server.get("/api/v1/snapshot"))[1]["may_control"] is True
         assert vehicles.commands == []
-
-    with_fleet(work)
-
-
-def test_places_are_kept_for_the_token_and_one_address_gets_a_few() -> None:
-    async def work(server: Served, _vehicles: LinkedVehicles) -> None:
-        async with ClientSession() as http:
-            live = f"{server.url}/api/v1/live"
-            others = [await http.ws_connect(live) for _ in range(MOST_OF_ADDRESS)]
-            for other in others:
-                await other.receive()
-            with pytest.raises(WSServerHandshakeError, match="503"):
-                await http.ws_connect(live)
-            with pytest.raises(WSServerHandshakeError, match="503"):
-                await http.ws_connect(live, protocols=("companion", "companion.token.wrong"))
-            offered = ("companion", f"companion.token.{TOKEN}")
-            async with http.ws_connect(live, protocols=offered) as of_page:
-                assert of_page.protocol == "companion"  # a browser ends a connection that chooses none of its protocols
-            for given in ({"protocols": offered}, {"headers": {TOKEN_HEADER: TOKEN}}):
-                async with http.ws_connect(live, **given) as of_operator:
-                    assert (await of_operator.receive_json())["type"] == "snapshot"
 
     with_fleet(work)
 

@@ -18,9 +18,6 @@ readToken();
 
 export const hasToken = () => token !== "";
 
-/** A WebSocket of a browser has no other headers. With the token the server keeps a place for it. */
-export const socketProtocols = () => ["companion", ...(hasToken() ? [`companion.token.${token}`] : [])];
-
 /** Whether the server would take commands of this page: each start of the server makes a new token. */
 export const mayCommand = async () => hasToken() && (await get("control")).allowed;
 

@@ -1,7 +1,5 @@
 /** The WebSocket to the server: snapshots in, seek and speed of a replay out. It connects again by itself. */
 
-import { socketProtocols } from "./api.js";
-
 const FIRST_RETRY_MS = 300;
 const LONGEST_RETRY_MS = 2000;
 const SILENT_AFTER_MS = 3000; // TCP alone would notice a lost server only after minutes
@@ -26,7 +24,7 @@ export class LiveConnection {
     const url = new URL("api/v1/live", location.href);
     url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
     url.hash = "";
-    const socket = new WebSocket(url, socketProtocols());
+    const socket = new WebSocket(url);
     this._socket = socket;
     this._heardMs = performance.now();
     socket.onopen = () => {
