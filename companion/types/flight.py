@@ -101,7 +101,8 @@ RULES: dict[CommandName, Rule] = {
 class PhaseChange(Enum):
     """What a stage may request of the phase machine. Each is ignored in a phase that it does not apply to."""
 
-    HAND_OVER = auto()  # from ENGAGE and FORMATION to the autopilot's own hold, level first
+    HAND_OVER = auto()  # from ENGAGE and FORMATION to the autopilot's own hold: brake, then level first
+    HAND_OVER_LEVEL = auto()  # the same without braking, where the velocity is in doubt
     HAND_OVER_NOW = auto()  # the same without levelling, where the attitude is unknown
     GIVE_UP = auto()  # from ENGAGE and FORMATION to OBSERVE
     ABANDON = auto()  # from every phase to OBSERVE

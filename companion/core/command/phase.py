@@ -254,6 +254,8 @@ class PhaseMachine:
         match request.kind:
             case PhaseChange.HAND_OVER:
                 self.hand_over(now_s, vehicle, request.reason)
+            case PhaseChange.HAND_OVER_LEVEL:
+                self.hand_over_level(now_s, vehicle, request.reason)
             case PhaseChange.HAND_OVER_NOW:
                 self.hand_over_silently(now_s, vehicle, request.reason)
             case PhaseChange.GIVE_UP if self.phase in STREAMING:
@@ -268,14 +270,21 @@ class PhaseMachine:
                 self.end_stream()
 
     def hand_over(self, now_s: float, vehicle: VehicleState, reason: Notice) -> None:
-        """Leave formation for the autopilot's own hold, level first."""
+        """Leave formation for the autopilot's own hold: brake, then level first."""
         if self.phase in STREAMING:
             self._begin(C.HOLD, now_s, vehicle, reason)
+
+    def hand_over_level(self, now_s: float, vehicle: VehicleState, reason: Notice) -> None:
+        """The same without braking, or with no more of it, where the velocity is in doubt."""
+        if self.phase in STREAMING:
+            self._begin(C.HOLD, now_s, vehicle, reason, brakes_within_s=0.0)
+        elif self._brakes_until_s is not None:
+            self._brakes_until_s = now_s
 
     def hand_over_silently(self, now_s: float, vehicle: VehicleState, reason: Notice) -> None:
         """The same without levelling, where the attitude is unknown."""
         if self.phase in STREAMING:
-            self._begin(C.HOLD, now_s, vehicle, reason, level_first_s=0.0)
+            self._begin(C.HOLD, now_s, vehicle, reason, level_first_s=0.0, brakes_within_s=0.0)
 
     def leave_hold(self, name: CommandName, now_s: float, vehicle: VehicleState, reason: Notice) -> None:
         """Leave the autopilot's own hold by its own landing or return."""
@@ -347,6 +356,7 @@ class PhaseMachine:
         vehicle: VehicleState,
         reason: Notice,
         level_first_s: float = LEVEL_BEFORE_HAND_OVER_S,
+        brakes_within_s: float = BRAKES_WITHIN_S,
     ) -> None:
         rule = RULES[name]
         procedure = profile_of(vehicle, self._profiles).procedures[name](vehicle, self._takeoff_height_m)
@@ -361,8 +371,8 @@ class PhaseMachine:
         self._running = RunningProcedure(procedure, now_s)
         if leaves_formation:
             self._levels(now_s, replace(procedure, delay_s=level_first_s))
-            if level_first_s > 0.0 and self._is_moving(vehicle):
-                self._brakes_until_s = now_s + BRAKES_WITHIN_S
+            if brakes_within_s > 0.0 and self._is_moving(vehicle):
+                self._brakes_until_s = now_s + brakes_within_s
         self._seen = ()
 
     def _enter(self, phase: FlightPhase, reason: Notice | None = None) -> None:

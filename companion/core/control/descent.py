@@ -13,7 +13,7 @@ LOW_THRUST_M_S2 = -6.0  # 0.4 of the weight: PX4 takes less than about 0.5 for l
 
 
 class Descent:
-    """One descent at a time; it begins anew after `restart`."""
+    """One descent at a time; after `restart` another one may begin."""
 
     def __init__(self) -> None:
         self._sank_s: float | None = None  # when it last sank, or the descent began

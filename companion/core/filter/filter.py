@@ -96,9 +96,7 @@ class SafetyFilter:
         # The speed limit is among the constraints, too: what the filter adds must not exceed it.
         constraints = [barrier.constraint for barrier in barriers]
         constraints += [b.constraint_without_margins for b in barriers if b.constraint_without_margins]
-        constraints += self._bounds.constraints(ahead)
-        if vehicle.ground_position_enu_m is not None:
-            constraints.append(self._bounds.floor(ahead, vehicle.ground_position_enu_m[2]))
+        constraints += self._bounds.constraints(ahead, vehicle.ground_position_enu_m)
         constraints += speed
         limits = replace(self._limits, disturbance_enu_m_s2=disturbance_enu_m_s2)
         allowed = filter_acceleration(slowed, constraints, limits)
@@ -152,13 +150,13 @@ class Bounds:
     """
 
     def __init__(
-        self, airspace: Airspace, speed: SpeedLimit, level_m_s2: float, vertical_m_s2: float, lowest_m: float
+        self, airspace: Airspace, speed: SpeedLimit, level_m_s2: float, vertical_m_s2: float, takeoff_height_m: float
     ) -> None:
         """`level_m_s2` and `vertical_m_s2` are the decelerations that the vehicle plans to brake with.
 
-        `lowest_m`: the least height above the ground that it is to fly at.
+        The floor is FLOOR_M above the ground, or half of `takeoff_height_m` where that is less.
         """
-        self._lowest_m = lowest_m
+        self._floor_m = min(FLOOR_M, 0.5 * takeoff_height_m) - airspace.clearance_m  # `_constraint` keeps the clearance
         self._airspace = airspace
         self._speed = speed
         self._level_m_s2 = level_m_s2
@@ -187,8 +185,10 @@ class Bounds:
                 allowed = (ux + short * nx, uy + short * ny, uz + short * nz)
         return allowed, constraints
 
-    def constraints(self, ahead: Ahead) -> list[Constraint]:
-        """Constraints of all obstacles and walls of the fence that may matter in this state.
+    def constraints(self, ahead: Ahead, ground_enu_m: Vector3 | None) -> list[Constraint]:
+        """Constraints of the ground, all obstacles and walls of the fence that may matter in this state.
+
+        `ground_enu_m`: where the vehicle took off; None where this agent has not seen it.
 
         Farther than `reach_m` nothing limits an acceleration: V(h) is above the speed by NEVER_WANTED_M_S2 / k.
         """
@@ -196,16 +196,12 @@ class Bounds:
         speed_m_s = sqrt(vx * vx + vy * vy + vz * vz) + NEVER_WANTED_M_S2 / BOUNDARY_RESPONSE_1_S
         reach_m = self._reach_at_rest_m + speed_m_s * speed_m_s / (2.0 * self._least_m_s2)
         gaps = [(obstacle.gap(position_enu_m), OBSTACLE) for obstacle in self._airspace.obstacles]
+        if ground_enu_m is not None:
+            gaps.append(((position_enu_m[2] - ground_enu_m[2] - self._floor_m, UP), GROUND))
         near = [self._constraint(gap, ahead, rank) for gap, rank in gaps if gap[0] < reach_m]
         return near + [
             self._constraint(gap, ahead, FENCE) for gap in self._airspace.fence.gaps(position_enu_m, reach_m)
         ]
-
-    def floor(self, ahead: Ahead, ground_m: float) -> Constraint:
-        """Keeps FLOOR_M above the ground at the place of the take-off, or half the height where it flies lower."""
-        height_m = ahead.position_enu_m[2] - ground_m
-        floor_m = min(FLOOR_M, 0.5 * self._lowest_m)
-        return self._constraint((height_m - floor_m + self._airspace.clearance_m, UP), ahead, GROUND)
 
     def _constraint(self, gap: Gap, ahead: Ahead, rank: Rank) -> Constraint:
         distance_m, (nx, ny, nz) = gap

@@ -236,6 +236,7 @@ class SlotPlan:
     def restart(self) -> tuple[Notice, ...]:
         """Mission time restarts, as with the next flight; the formation stays. Returns the event of a cancelled change."""
         self._flown, self._before_enu_m = _begun(self._flown), self.slots_enu_m
+        self._movers, self._pace, self._behind_s = set(), 1.0, 0.0
         return self._agreement.restart()
 
     def start_path(self, path: Path, now_s: float) -> None:

@@ -158,7 +158,8 @@ OTHER_FAILSAFES: tuple[Failsafe, ...] = (
     Failsafe(C.NO_SETPOINT, "{} s without a setpoint", (Step(A.LEAVE),), "a command", limit=0.5, flies_on=(HOLD,)),
     Failsafe(C.MODE_CHANGED_BY_OTHERS, "next flight mode", (Step(A.LEAVE),), "a command"),
     Failsafe(C.AUTOPILOT_DISARMED, "next HEARTBEAT", (Step(A.LEAVE),), "a command"),
-    # Both autopilots take over within 50 ms of the request (measured: docs/safety.md); the rest is for lost requests.
+    # A moving vehicle brakes for 4 s at most. Both autopilots take over within 50 ms of the request (measured: docs/safety.md);
+    # the rest is for lost requests.
     Failsafe(C.AGENT_STOPPING, "at once", (HOLD, Step(A.LEAVE, 6.0)), "a restart, which observes"),
     Failsafe(C.AGENT_FAILED, "an exception in a tick", (HOLD, Step(A.LEAVE, 0.5)), "a restart, which observes"),
 )
@@ -202,6 +203,8 @@ POSITION_IN_DOUBT = POSITION_WRONG | {
     HealthFlag.FRAME_UNKNOWN,
     HealthFlag.POSITION_UNAIDED,
 }
+# A vehicle does not brake by a velocity that may be wrong.
+MOTION_IN_DOUBT = POSITION_IN_DOUBT | {HealthFlag.ESTIMATOR_BAD, HealthFlag.TILT_EXCEEDED}
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from companion.core.autopilot import Profiles, profile_of
 from companion.core.consensus.stage import Consensus
 from companion.core.safety.failsafe import (
     BY_CONDITION,
+    MOTION_IN_DOUBT,
     NONE_ACTIVE,
     ActiveFailsafe,
     FailsafeSettings,
@@ -135,7 +136,9 @@ class SafeguardStage:
     ) -> list[PhaseRequest]:
         """A hold from formation; from hold the return or landing."""
         if flight.streams:
-            return [PhaseRequest(PhaseChange.HAND_OVER, flags_notice(active.flags))]
+            in_doubt = not MOTION_IN_DOUBT.isdisjoint(active.flags)
+            change = PhaseChange.HAND_OVER_LEVEL if in_doubt else PhaseChange.HAND_OVER
+            return [PhaseRequest(change, flags_notice(active.flags))]
         if flight.phase is not FlightPhase.HOLD or active.action is FailsafeAction.HOLD:
             return []
         reason = flags_notice(active.flags)

@@ -64,6 +64,16 @@ def test_a_hand_over_is_level_until_the_autopilot_should_have_taken_over() -> No
     assert machine.streams(autopilot.state)
 
 
+def test_a_moving_vehicle_brakes_before_it_levels_unless_its_velocity_is_in_doubt() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
+    moving = replace(autopilot.state, velocity_enu_m_s=(2.0, 0.0, 0.0))
+    machine.hand_over(now_s, moving, REASON)
+    assert machine.streams(moving) and not machine.hands_over_level(now_s)
+    machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
+    machine.hand_over_level(now_s, moving, REASON)
+    assert machine.streams(moving) and machine.hands_over_level(now_s)
+
+
 def test_a_hold_is_requested_at_once_when_the_attitude_is_unknown() -> None:
     machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
     machine.hand_over_silently(now_s, autopilot.state, REASON)

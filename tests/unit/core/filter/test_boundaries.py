@@ -61,7 +61,7 @@ def fly(position: Vector3, wanted: list[Vector3], lag_s: float, each_s: float = 
         )
         ahead = motions.own(now_s, state, command)
         slowed, speed = BOUNDS.limit_speed(ahead, wanted[int(now_s / each_s)])
-        command = LIMITS.limit(filter_acceleration(slowed, BOUNDS.constraints(ahead) + speed, LIMITS))
+        command = LIMITS.limit(filter_acceleration(slowed, BOUNDS.constraints(ahead, None) + speed, LIMITS))
         waiting.append(command)
         arrived = waiting.popleft()
         for _ in range(round(TICK_S / STEP_S)):
@@ -124,7 +124,7 @@ def test_a_command_far_from_all_limits_is_the_same_object() -> None:
     wanted = (0.1234567, -0.7654321, 0.3)
     slowed, speed = BOUNDS.limit_speed(ahead, wanted)
     assert slowed is wanted
-    assert filter_acceleration(wanted, BOUNDS.constraints(ahead) + speed, LIMITS) is wanted
+    assert filter_acceleration(wanted, BOUNDS.constraints(ahead, None) + speed, LIMITS) is wanted
 
 
 def test_above_the_speed_limit_the_vehicle_is_slowed_down() -> None:
@@ -134,6 +134,6 @@ def test_above_the_speed_limit_the_vehicle_is_slowed_down() -> None:
 
 def test_a_vehicle_outside_the_fence_is_brought_back_slowly() -> None:
     ahead = Ahead((0.0, 3.0, 15.0), ZERO3)  # in the notch
-    x, y, z = filter_acceleration(ZERO3, BOUNDS.constraints(ahead), LIMITS)
+    x, y, z = filter_acceleration(ZERO3, BOUNDS.constraints(ahead, None), LIMITS)
     assert (x, z) == (pytest.approx(0.0, abs=1e-5), pytest.approx(0.0, abs=1e-5))
     assert y < -1.0

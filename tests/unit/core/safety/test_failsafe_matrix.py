@@ -190,6 +190,7 @@ class Vehicle:
 def labels(safety: Safety) -> list[str]:
     names = {
         PhaseChange.HAND_OVER: "hold",
+        PhaseChange.HAND_OVER_LEVEL: "hold",
         PhaseChange.HAND_OVER_NOW: "hold without levelling",
         PhaseChange.GIVE_UP: "leave",
         PhaseChange.ABANDON: "abandon",
