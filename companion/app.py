@@ -101,7 +101,7 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
         if vehicle.ground_station:
             ground = stack.enter_context(closing(_ground_station(settings, config, autopilot, agent)))
             beside.append(ground.run)
-        jobs = [autopilot.receive, autopilot.keep_in_touch, autopilot.keep_streams, *beside]
+        jobs = [autopilot.receive, autopilot.keep_in_touch, autopilot.keep_streams, autopilot.keep_time, *beside]
         loop = ControlLoop(agent, autopilot, peers, trigger, notifier, recorder)
         if not await loop.run(settings.wait_s, jobs):
             raise AutopilotSilentError(settings.file, vehicle, settings.wait_s, autopilot.why_silent())

@@ -21,6 +21,7 @@ from companion.config.file import ConfigError, read_regular
 from companion.config.vehicle import Signing, VehicleConfig
 from companion.link.byte_links import LinkError, open_link
 from companion.link.tick import monotonic_s
+from companion.mavlink.clock import REQUEST_PERIOD_S
 from companion.mavlink.codec import KEY_BYTES, SigningKey
 from companion.mavlink.translator import Translator
 from companion.types.autopilot import (
@@ -138,6 +139,18 @@ class AutopilotLink:
         while True:
             self._send(self._translator.heartbeat())
             await asyncio.sleep(HEARTBEAT_PERIOD_S)
+
+    async def keep_time(self) -> NoReturn:
+        """Measure the way to the autopilot by TIMESYNC, from its first HEARTBEAT until cancelled."""
+        await self._heartbeat_received.wait()
+        while True:
+            self._send(self._translator.time_request(monotonic_s()))
+            await asyncio.sleep(REQUEST_PERIOD_S)
+
+    @property
+    def round_trip_s(self) -> float | None:
+        """The shortest round trip of the last answers to TIMESYNC; None where none came."""
+        return self._translator.clock.round_trip_s
 
     async def keep_streams(self) -> NoReturn:
         """Request the telemetry rates at the first HEARTBEAT, and again while one of them is too low.

@@ -128,6 +128,7 @@ class Parameters:
         """`system` is that of a MavsdkBridge."""
         self._param = Param(system)
         self._integers: dict[str, bool] = {}
+        self.shortest_read_s: float | None = None  # of all reads that were answered
 
     async def read_all(self, names: Iterable[str]) -> dict[str, float | None]:
         """Values by name; None for a parameter without an answer."""
@@ -136,6 +137,7 @@ class Parameters:
     async def read(self, name: str) -> float | None:
         """The value, or None after 3 s without an answer: an autopilot does not answer for an unknown parameter."""
         for is_integer, get in ((True, self._param.get_param_int), (False, self._param.get_param_float)):
+            asked_s = time.monotonic()
             try:
                 value = float(await asyncio.to_thread(get, name))
             except ParamError as error:
@@ -143,6 +145,8 @@ class Parameters:
                     break
             else:
                 self._integers[name] = is_integer
+                read_s = time.monotonic() - asked_s
+                self.shortest_read_s = min(read_s, self.shortest_read_s or read_s)
                 return value
         return None
 

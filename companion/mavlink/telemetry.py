@@ -13,6 +13,7 @@ from math import isfinite, nan
 
 from companion.geometry.frames import enu_from_ned, euler_enu_from_ned, euler_from_quaternion
 from companion.geometry.vectors import rounded
+from companion.mavlink.clock import AutopilotClock
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.mavlink.dialect import ANSWERS
 from companion.types.autopilot import (
@@ -56,7 +57,7 @@ POSITIONS = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS
 LANDED_STATES = {int(state): state for state in LandedState}
 
 
-def position(values: Sequence[float], received_s: float) -> PositionSample:
+def position(values: Sequence[float], received_s: float, clock: AutopilotClock) -> PositionSample:
     """LOCAL_POSITION_NED. Its numbers may be NaN; `VehicleTracker` refuses those."""
     boot_ms, north_m, east_m, down_m, north_m_s, east_m_s, down_m_s = values
     return PositionSample(
@@ -64,6 +65,7 @@ def position(values: Sequence[float], received_s: float) -> PositionSample:
         boot_ms / 1000.0,
         rounded(enu_from_ned((north_m, east_m, down_m)), LENGTH_DECIMALS),
         rounded(enu_from_ned((north_m_s, east_m_s, down_m_s)), LENGTH_DECIMALS),
+        clock.late_s(boot_ms / 1000.0, received_s),
     )
 
 

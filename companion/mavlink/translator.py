@@ -9,6 +9,7 @@ from math import isfinite
 from companion.geometry.frames import euler_ned_from_enu, quaternion_from_euler
 from companion.mavlink import telemetry
 from companion.mavlink.autopilot_types import DIALECTS, autopilot_kind, describe_heartbeat
+from companion.mavlink.clock import AutopilotClock
 from companion.mavlink.codec import SIGNATURE_CODES, MavlinkCodec, Packet, SigningKey, mavlink
 from companion.mavlink.dialect import Dialect, stream_request
 from companion.types.autopilot import (
@@ -41,6 +42,7 @@ class Translator:
         self._relay_codec = MavlinkCodec(vehicle_id, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER)
         self._has_key = key is not None
         self._texts = telemetry.TextAssembler()
+        self.clock = AutopilotClock()
         self.rejected: Counter[str] = Counter()  # damaged or implausible packets, by code
         self.other_systems: set[int] = set()  # received system ids other than the own one
         self.refused_signature: Code | None = None  # why the last packet with a wrong signature was refused
@@ -48,7 +50,7 @@ class Translator:
         self._autopilot = autopilot
         self.refused_heartbeat = ""  # reason for the last refused HEARTBEAT
         self._samples_of: dict[int, Callable[[Packet, float], Samples]] = {
-            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: lambda p, s: (telemetry.position(p.values, s),),
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: lambda p, s: (telemetry.position(p.values, s, self.clock),),
             mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._attitude,
             mavlink.MAVLINK_MSG_ID_CURRENT_MODE: self._mode,
             mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: self._thrust,
@@ -62,6 +64,7 @@ class Translator:
             mavlink.MAVLINK_MSG_ID_PARAM_VALUE: self._parameter,
             mavlink.MAVLINK_MSG_ID_COMMAND_ACK: self._acknowledgement,
             mavlink.MAVLINK_MSG_ID_STATUSTEXT: self._text,
+            mavlink.MAVLINK_MSG_ID_TIMESYNC: self._timesync,
         }
 
     @property
@@ -154,6 +157,11 @@ class Translator:
         text = self._texts.add(packet.message, received_s)
         return (text,) if text else ()
 
+    def _timesync(self, packet: Packet, received_s: float) -> Samples:
+        message = packet.fields
+        self.clock.receive_answer(message.ts1, message.tc1, received_s)
+        return ()
+
     def attitude_target(self, target: AttitudeTarget, now_s: float) -> bytes:
         """SET_ATTITUDE_TARGET with attitude and thrust; `now_s` becomes its time_boot_ms."""
         euler_ned = euler_ned_from_enu(target.roll_rad, target.pitch_rad, target.yaw_rad)
@@ -191,6 +199,10 @@ class Translator:
                 3,
             )
         )
+
+    def time_request(self, now_s: float) -> bytes:
+        """TIMESYNC, to be sent at `now_s` on the clock of `received_s`."""
+        return self._codec.encode(mavlink.MAVLink_timesync_message(0, self.clock.request(now_s)))
 
     def stream_requests(self) -> list[bytes]:
         """Requests for the message intervals of the dialect (MAV_CMD_SET_MESSAGE_INTERVAL)."""

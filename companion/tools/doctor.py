@@ -164,7 +164,7 @@ class DoctorSession(Bench):
 
     def jobs(self) -> tuple[Coroutine[None, None, None], ...]:
         """Background jobs until cancelled: the link, the agent's message rates, and the telemetry."""
-        return (self.link.receive(), self.link.keep_streams(), self._listen())
+        return (self.link.receive(), self.link.keep_streams(), self.link.keep_time(), self._listen())
 
     async def _listen(self) -> None:
         while True:
@@ -189,11 +189,14 @@ class DoctorSession(Bench):
         assert vehicle.autopilot is not None  # it answers
         assert self.parameters is not None
         rules = PROFILES[vehicle.autopilot].parameters
+        parameters = await self.parameters.read_all(rule.name for rule in rules)
+        round_trip_s = self.link.round_trip_s
         facts = Facts(
             rules=rules,
-            parameters=await self.parameters.read_all(rule.name for rule in rules),
+            parameters=parameters,
             hover_thrust_norm=config.vehicle.hover_thrust_norm,
             rates_hz=survey.rates_hz,
+            round_trip_s=self.parameters.shortest_read_s if round_trip_s is None else round_trip_s,
             failing_checks=None if vehicle.armed else survey.failing_checks,
             position_check=self._position_check(vehicle),
             position_enu_m=vehicle.position_enu_m,

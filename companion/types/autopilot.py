@@ -138,12 +138,13 @@ AutopilotRequest = SetMode | Arm | Disarm | TakeOff | RequestOrigin | RequestPar
 
 
 class PositionSample(Struct, frozen=True, gc=False):
-    """LOCAL_POSITION_NED, in ENU about the autopilot's own origin."""
+    """LOCAL_POSITION_NED, in ENU about the autopilot's own origin. `late_s`: its age on arrival, 0 where that is usual."""
 
     received_s: float
     boot_time_s: float
     position_local_enu_m: Vector3
     velocity_enu_m_s: Vector3
+    late_s: float = 0.0
 
 
 class AttitudeSample(Struct, frozen=True, gc=False):

@@ -127,6 +127,7 @@ class Autopilot(ABC):
         self.quad = Quadrotor(file, self.data.loops, dt_s, hover_thrust_norm)
         self.parameters = self.parameters_type(self.data, file.id, stand_in.parameters)
         self.time_s = 0.0
+        self._clock_ms_s = 1000.0 - 10.0 * stand_in.clock_slow_percent
         self.armed = False
         self.home: Vector3 = self.here_geodetic()
         self.setpoint = MOTORS_OFF
@@ -220,7 +221,8 @@ class Autopilot(ABC):
 
     @property
     def boot_ms(self) -> int:
-        return round(self.time_s * 1000.0)
+        """Its own clock."""
+        return round(self.time_s * self._clock_ms_s)
 
     def wanted_euler_rad(self) -> Vector3:
         """Roll, pitch, yaw of the present attitude setpoint, FLU in ENU."""

@@ -74,8 +74,15 @@ def columns_of(scenarios: Sequence[Scenario]) -> Columns:
 
 
 NOT_MODELLED = dict.fromkeys(
-    ("stand_in.batteries", "stand_in.estimator_resets", "stand_in.pilots"), "sitl run or sitl fly"
-) | dict.fromkeys(("agent_ends", "links.partitions"), "sitl run")
+    (
+        "stand_in.batteries",
+        "stand_in.estimator_resets",
+        "stand_in.pilots",
+        "stand_in.refusals",
+        "stand_in.position_losses",
+    ),
+    "sitl run or sitl fly",
+) | dict.fromkeys(("agent_ends", "links.partitions", "links.late_telemetry"), "sitl run")
 
 
 def _check(scenarios: Sequence[Scenario]) -> None:

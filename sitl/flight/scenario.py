@@ -325,10 +325,21 @@ def _agent_ends(scenario: Scenario) -> Iterator[Problem]:
             yield Problem(f"agent_ends[{index}].at_s", problem)
 
 
+BY_VEHICLE = (
+    "stand_in.estimator_resets",
+    "stand_in.batteries",
+    "stand_in.pilots",
+    "stand_in.refusals",
+    "stand_in.position_losses",
+    "links.late_telemetry",
+    "agent_ends",
+)
+
+
 def _vehicles_named(scenario: Scenario) -> Iterator[Problem]:
     """Own origins, estimator resets, pilots and all else by vehicle must be those of vehicles of the fleet."""
     named = [(vehicle_id, f"origins_enu_m.{vehicle_id}") for vehicle_id in sorted(scenario.origins_enu_m)]
-    for key in ("stand_in.estimator_resets", "stand_in.batteries", "stand_in.pilots", "agent_ends"):
+    for key in BY_VEHICLE:
         named += [(item.vehicle, f"{key}[{index}].vehicle") for index, item in enumerate(attrgetter(key)(scenario))]
     for index, partition in enumerate(scenario.links.partitions):
         named += [(vehicle_id, f"links.partitions[{index}].vehicles") for vehicle_id in partition.vehicles]

@@ -11,9 +11,12 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from math import inf
 
+from msgspec.structs import replace
+
 from companion.geometry.frames import quaternion_from_euler
 from companion.mavlink import telemetry
 from companion.mavlink.autopilot_types import DIALECTS
+from companion.mavlink.clock import REQUEST_PERIOD_S
 from companion.mavlink.codec import mavlink
 from companion.mavlink.translator import Translator
 from companion.types.autopilot import (
@@ -106,6 +109,8 @@ class DirectLink:
         self.autopilot = autopilot
         self._telemetry_delay_s = links.telemetry_delay_s
         self._setpoint_delay_s = links.setpoint_delay_s
+        self._late = [late for late in links.late_telemetry if late.vehicle == autopilot.system_id]
+        self._last_s = self._time_asked_s = -inf
         self._end = end
         self._schedule = end.schedule
         self._schedule.reset(rates_hz(autopilot.kind), phase_s)
@@ -136,16 +141,34 @@ class DirectLink:
             self._send(self._end.changes(), now_s)
         if now_s < self._schedule.next_s:
             return
-        received_s = now_s + self._telemetry_delay_s
+        received_s = self._received_s(now_s)
         for message_id in self._schedule.due(now_s):
             samples = SAMPLES[message_id](self.autopilot, received_s)
-            self._to_agent.extend(samples)
             if samples and message_id == M.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
                 self._positions_s.append(received_s)
+                if late_s := self._late_s(now_s, received_s):
+                    samples = (replace(samples[0], late_s=late_s),)
+            self._to_agent.extend(samples)
+
+    def _late_s(self, now_s: float, received_s: float) -> float:
+        """Age on arrival of a position that is sent now."""
+        clock, boot_s = self._translator.clock, self.autopilot.boot_ms / 1000.0
+        if now_s >= self._time_asked_s + REQUEST_PERIOD_S:  # TIMESYNC is answered beside it
+            self._time_asked_s = now_s
+            clock.exchange(now_s - self._setpoint_delay_s, boot_s, received_s)
+        return clock.late_s(boot_s, received_s)
+
+    def _received_s(self, now_s: float) -> float:
+        """When what is sent now arrives: late at times, never before what was sent before it."""
+        if not self._late:
+            return now_s + self._telemetry_delay_s
+        delays_s = [late.delay_s for late in self._late if late.from_s <= now_s < late.until_s]
+        self._last_s = max(self._last_s, now_s + (delays_s[0] if delays_s else self._telemetry_delay_s))
+        return self._last_s
 
     def _send(self, packets: Iterator[bytes], now_s: float) -> None:
         for packet in packets:
-            self._to_agent.extend(self._translator.telemetry(packet, now_s + self._telemetry_delay_s))
+            self._to_agent.extend(self._translator.telemetry(packet, self._received_s(now_s)))
 
     # ------------------------------------------------------------ the agent's end
 

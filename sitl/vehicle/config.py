@@ -170,6 +170,7 @@ class StandIn(Section, frozen=True):
     pilots: vehicles that a pilot takes over
     refusals: mode changes that autopilots refuse from then on
     position_losses: vehicles that lose GPS or vision
+    clock_slow_percent: how much slower the autopilots' clocks run than this computer's: PX4's 1 to 2 %
     parameters: autopilot parameters by name, for those that the stand-in has
     """
 
@@ -184,6 +185,7 @@ class StandIn(Section, frozen=True):
     pilots: tuple[PilotedFlight, ...] = ()
     refusals: tuple[ModeRefusal, ...] = ()
     position_losses: tuple[PositionLoss, ...] = ()
+    clock_slow_percent: Annotated[float, Meta(ge=-5, le=5)] = 0.0
     parameters: dict[str, float] = field(default_factory=dict)
 
     def sensor_model(self) -> Sensors:
@@ -214,6 +216,15 @@ class Partition(Section, frozen=True):
         return self.lost == "both" or (self.lost == "sent") is (sender in self.vehicles)
 
 
+class LateTelemetry(Section, frozen=True):
+    """A time in which the telemetry of one vehicle arrives late, as from a full serial buffer. Its order stays."""
+
+    vehicle: VehicleId
+    from_s: FlightTime
+    until_s: FlightTime
+    delay_s: DelaySeconds
+
+
 class Links(Section, frozen=True):
     """Links of the vehicles. `peer_*` and `partitions` also hold for real processes, over a network emulated in user space.
 
@@ -228,6 +239,7 @@ class Links(Section, frozen=True):
     peer_transport: how real processes exchange states: over Zenoh in TCP streams, or as UDP datagrams; `sitl run`
         always loses and delays single packets, as with datagrams
     partitions: times in which vehicles receive nothing from each other
+    late_telemetry: times in which telemetry takes longer than `telemetry_delay_s`; `sitl run` only
     """
 
     telemetry_delay_s: DelaySeconds = 0.0003
@@ -238,6 +250,7 @@ class Links(Section, frozen=True):
     peer_duplicates: Share = 0.0
     peer_transport: Literal["tcp", "udp"] = "tcp"
     partitions: tuple[Partition, ...] = ()
+    late_telemetry: tuple[LateTelemetry, ...] = ()
 
     @property
     def disturb_peers(self) -> bool:

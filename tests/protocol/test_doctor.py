@@ -50,9 +50,17 @@ def test_a_correctly_configured_vehicle_is_fit(tmp_path: Path) -> None:
         result = doctor(files)
     assert result.returncode == 0, result.stdout + result.stderr
     assert set(found(result).values()) == {"ok"}
-    assert {"positions", "attitudes", "modes", "origin", "battery", "mode", "COM_OF_LOSS_T", "MPC_THR_HOVER"} <= set(
-        found(result)
-    )
+    assert {
+        "positions",
+        "attitudes",
+        "modes",
+        "round",
+        "origin",
+        "battery",
+        "mode",
+        "COM_OF_LOSS_T",
+        "MPC_THR_HOVER",
+    } <= set(found(result))
     assert result.stdout.startswith(f"vehicle 1, PX4 at udpin:127.0.0.1:{process.ports.companion}\n")
     assert result.stdout.endswith("fit to fly in formation: 0 refusals, 0 warnings\n")
     assert result.stderr == ""

@@ -58,6 +58,7 @@ MAX_LOCAL_M = 100_000.0  # the 32-bit floats of LOCAL_POSITION_NED lose centimet
 MAX_SPEED_M_S = 100.0
 REBOOT_S = 1.0  # time_boot_ms decreasing by more is a reboot, by less a reordered datagram
 EVENT_PERIOD_S = 1.0  # repeated jumps are reported no more often
+LATE_PERIOD_S = 5.0  # so are late positions
 
 
 class VehicleTracker:
@@ -81,7 +82,7 @@ class VehicleTracker:
         self._follows_ground = height_from_takeoff
         self._position: PositionSample | None = None
         self._accuracy = PositionAccuracy(uses_gps=fleet_origin is not None)
-        self._jump_s = self._origin_asked_s = float("-inf")
+        self._jump_s = self._late_reported_s = self._origin_asked_s = float("-inf")
         self._healthy_by_status = self._healthy_by_system = True  # ESTIMATOR_STATUS, SYS_STATUS
         self.rejected: Counter[str] = Counter()
         self._events: list[Notice] = []  # raised while the current telemetry message is processed
@@ -144,6 +145,9 @@ class VehicleTracker:
         self._position = sample
         if sample.received_s > self._accuracy.holds_until_s:
             self._assume_error(sample.received_s)
+        if sample.late_s and sample.received_s - self._late_reported_s > LATE_PERIOD_S:
+            self._late_reported_s = sample.received_s
+            self._events.append(Notice(Code.TELEMETRY_LATE, f"positions arrive {sample.late_s:.2f} s late"))
         offset_m = self._frame.offset_enu_m
         if offset_m is None:
             return
@@ -171,7 +175,7 @@ class VehicleTracker:
         ):  # by the reported position: a jump that is released slowly is no velocity
             velocity_enu_m_s = self._velocity_correction.follow(sample.boot_time_s, position_enu_m, velocity_enu_m_s)
         fields["velocity_enu_m_s"] = velocity_enu_m_s
-        fields["position_time_s"] = sample.received_s
+        fields["position_time_s"] = sample.received_s - sample.late_s
         if not fields.get("armed", True) and self._on_ground():
             fields["ground_position_enu_m"] = used_enu_m
         fields["held_back_m"] = 0.0 if held_back_m is ZERO3 else hypot(*held_back_m)

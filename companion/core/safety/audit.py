@@ -17,6 +17,7 @@ from companion.types.values import Vector3
 
 # PX4 sends CURRENT_MODE twice a second and at every change, regardless of requests; HEARTBEAT at 1 Hz alone is too slow.
 MIN_RATES_HZ = {"positions": 40.0, "attitudes": 40.0, "modes": 1.5, "landed states": 2.0}
+MAX_ROUND_TRIP_S = 0.1  # of a question and its answer: 0.5 to 3 ms at a serial port
 LOW_BATTERY_PERCENT = 40.0  # a flight may begin, but not a long one
 EMPTY_BATTERY_PERCENT = 20.0
 MAX_HOVER_THRUST_DIFFERENCE = 0.1  # relative; above it vehicle file and autopilot describe different vehicles
@@ -37,6 +38,7 @@ class Facts:
 
     `parameters` are all requested ones, with None for no answer. `rates_hz` has the keys of MIN_RATES_HZ. `battery_percent`
     is -1 where the autopilot does not know it. `failing_checks` is the reason of failing preflight checks, "" where they pass.
+    `round_trip_s` is the shortest one to the autopilot and back.
     """
 
     rules: tuple[ParameterRule, ...]  # what the autopilot type demands of the parameters
@@ -47,6 +49,7 @@ class Facts:
     position_check: PositionCheck | None = None
     position_enu_m: Vector3 | None = None
     battery_percent: float | None = None
+    round_trip_s: float | None = None
     mode_name: str | None = None
     armed: bool | None = None
     accepts_uncontrolled_descent: bool = False  # set in the vehicle file
@@ -86,6 +89,8 @@ def worst(findings: tuple[AuditFinding, ...]) -> Verdict:
 def _findings(facts: Facts) -> Iterator[AuditFinding]:
     if facts.rates_hz is not None:
         yield from (_rate(name, facts.rates_hz.get(name, 0.0), least_hz) for name, least_hz in MIN_RATES_HZ.items())
+    if facts.round_trip_s is not None:
+        yield _round_trip(facts.round_trip_s)
     if facts.failing_checks is not None:
         yield _checks(facts.failing_checks)
     if facts.position_check is not None:
@@ -105,6 +110,15 @@ def _rate(name: str, rate_hz: float, least_hz: float) -> AuditFinding:
         return AuditFinding(name, Verdict.OK, None, f"{rate_hz:.1f} Hz", wanted)
     remedy = "a faster line (baud rate), fewer other streams on it (MAV_x_RATE, SRx_*), or another port"
     return AuditFinding(name, Verdict.REFUSAL, Code.TELEMETRY_SLOW, f"{rate_hz:.1f} Hz", wanted, remedy)
+
+
+def _round_trip(round_trip_s: float) -> AuditFinding:
+    wanted = f"at most {1e3 * MAX_ROUND_TRIP_S:g} ms"
+    found = f"{1e3 * round_trip_s:.1f} ms"
+    if round_trip_s <= MAX_ROUND_TRIP_S:
+        return AuditFinding("round trip", Verdict.OK, None, found, wanted)
+    remedy = "a faster line, fewer streams on it (a full buffer delays all of them), or a wire in place of a radio"
+    return AuditFinding("round trip", Verdict.REFUSAL, Code.TELEMETRY_LATE, found, wanted, remedy)
 
 
 def _checks(reason: str) -> AuditFinding:
