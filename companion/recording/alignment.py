@@ -52,8 +52,15 @@ class _Head(Struct, array_like=True, gc=False):
     sent_s: float
 
 
+class _Received(Struct, array_like=True, gc=False):
+    """The first fields of a ReceivedPeerPacket."""
+
+    received_s: float
+    packet: _Head
+
+
 class _Packets(Struct, gc=False):
-    peers: tuple[tuple[float, _Head], ...] = ()
+    peers: tuple[_Received, ...] = ()
 
 
 _decoder = msgspec.json.Decoder(_Packets)
@@ -155,7 +162,8 @@ def _times(recording: Recording, senders: Collection[Key], warn: Warn) -> dict[K
             packets = _decoder.decode(message.data).peers
         except DECODE_ERRORS:
             continue  # one message less; where it matters, others report it
-        for received_s, head in packets:
+        for one in packets:
+            received_s, head = one.received_s, one.packet
             key = (head.vehicle_id, head.session)
             if key in senders and abs(head.sent_s) < LAST_S and abs(received_s) < LAST_S:
                 sent[key].append(head.sent_s)

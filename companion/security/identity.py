@@ -151,6 +151,11 @@ class Identity:
     admitted: Admitted
     expires_at: datetime
 
+    def key(self) -> ec.EllipticCurvePrivateKey:
+        """The private key. Raises IdentityError."""
+        certificate = _certificate(self.certificate_file, _content(self.certificate_file)[0])
+        return _key(self.key_file, _content(self.key_file)[0], certificate, self.certificate_file)
+
 
 def load_identity(folder: Path, now: datetime, credentials: Path | None = None) -> Identity:
     """The identity in a folder. `now` has a time zone; `credentials` is the folder $CREDENTIALS_DIRECTORY of systemd.

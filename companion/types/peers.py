@@ -11,6 +11,9 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference, LeaderBeacon
 from companion.types.values import Number, Part, Position, Vector3
 
+TermSignature = Annotated[bytes, Meta(min_length=64, max_length=64)]
+"""ECDSA P-256: r and s, 32 bytes each."""
+
 
 class Sender(Part, frozen=True, gc=False):
     """Who sends, and which packet this is. `session` is the random number of a start: it tells a restart from a replay."""
@@ -34,11 +37,22 @@ class Motion(Part, frozen=True, gc=False):
     sent_s: float
 
 
+class TermProof(Struct, frozen=True, gc=False):
+    """The signature of a term's leader, as `companion/security/terms.py` makes it. `session`: of the agent that signed."""
+
+    session: Number
+    signature: TermSignature
+
+
 class LeaderReport(Part, frozen=True, gc=False):
-    """What a vehicle knows of the leader: hops to it + 1, and its newest beacon, None without a fresh one."""
+    """What a vehicle knows of the leader: hops to it + 1, and its newest beacon, None without a fresh one.
+
+    `proof`: that the leader in the beacon has stated its term. Only links of vehicles with identities add it.
+    """
 
     prc: int
     beacon: LeaderBeacon | None
+    proof: TermProof | None = None
 
 
 class PeerPacket(Struct, frozen=True, gc=False):
@@ -63,8 +77,11 @@ class PeerPacket(Struct, frozen=True, gc=False):
 
 
 class ReceivedPeerPacket(Struct, frozen=True, gc=False):
+    """`proven`: not False where the term in the packet's beacon is hearsay, and vehicles have identities."""
+
     received_s: float
     packet: PeerPacket
+    proven: bool = True
 
 
 class TargetSample(Struct, frozen=True, gc=False, forbid_unknown_fields=True):

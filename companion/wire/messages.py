@@ -19,7 +19,16 @@ from companion.types.errors import CompanionError
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import EAST, FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code
-from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender, TargetSample, TrafficSample
+from companion.types.peers import (
+    LeaderReport,
+    Motion,
+    PeerPacket,
+    Sender,
+    TargetSample,
+    TermProof,
+    TermSignature,
+    TrafficSample,
+)
 from companion.types.rejections import rejection_key
 from companion.types.status import Status
 from companion.types.values import (
@@ -34,7 +43,7 @@ from companion.types.values import (
     VehicleIds,
 )
 
-WIRE_VERSION = 8
+WIRE_VERSION = 9
 
 T = TypeVar("T")
 
@@ -206,6 +215,7 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     change: tuple[Number, SlotsOfAll, MissionTime, ChangeDuration, VehicleIds] | None
     armed: bool
     rft: tuple[Vector3, Vector3, Vector3] | None  # position, velocity, acceleration
+    term_proof: tuple[Number, TermSignature] | None
 
 
 _peer_decoder = msgspec.msgpack.Decoder(_PeerWire)
@@ -215,6 +225,7 @@ def encode_peer(packet: PeerPacket) -> bytes:
     """The message for a peer packet."""
     sender, motion, leader = packet.sender, packet.motion, packet.leader
     beacon, error, held, change = leader.beacon, packet.position_error, packet.reference, packet.change
+    proof = leader.proof
     return seal(
         _encoder.encode(
             _PeerWire(
@@ -237,6 +248,7 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 change=astuple(change) if change else None,
                 armed=packet.armed,
                 rft=packet.rft,
+                term_proof=(proof.session, proof.signature) if proof else None,
             )
         )
     )
@@ -257,6 +269,7 @@ def decode_peer(data: bytes) -> PeerPacket:
     """The peer packet of a message. Checks form, version and sizes; `PeerTable` checks the values. Raises WireError."""
     wire = decode_sealed(_peer_decoder, data, Code.PEER_MALFORMED, "peer packet")
     beacon, error, held, change = wire.leader_beacon, wire.position_error, wire.reference, wire.change
+    proof = TermProof(*wire.term_proof) if wire.term_proof else None
     return PeerPacket(
         sender=Sender(wire.vehicle_id, wire.session, wire.sequence, wire.formation_hash),
         phase=wire.phase,
@@ -268,7 +281,7 @@ def decode_peer(data: bytes) -> PeerPacket:
             state_age_s=wire.state_age_s,
             sent_s=wire.sent_s,
         ),
-        leader=LeaderReport(wire.prc, _beacon_from(beacon) if beacon else None),
+        leader=LeaderReport(wire.prc, _beacon_from(beacon) if beacon else None, proof),
         slot=FlownSlot(*wire.slot),
         position_error=PositionError(*error) if error else None,
         reference=HeldReference(*held) if held else None,

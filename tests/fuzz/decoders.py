@@ -16,7 +16,7 @@ from companion.types.commands import Command, CommandName, CommandReply, Lead, R
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
-from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender, TargetSample, TrafficSample
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender, TargetSample, TermProof, TrafficSample
 from companion.types.status import (
     AgentIdentity,
     AutopilotReport,
@@ -69,7 +69,7 @@ PACKET = PeerPacket(
         state_age_s=0.02,
         sent_s=100.0,
     ),
-    leader=LeaderReport(prc=1, beacon=LeaderBeacon(1, 2, 100_000, 12.5)),
+    leader=LeaderReport(1, LeaderBeacon(1, 2, 100_000, 12.5), TermProof(7, bytes(range(64)))),
     slot=FlownSlot((0.0, 0.0, 0.0), formation=1, waiting=2),
     position_error=PositionError(0.3, 0.4),
     reference=HeldReference(1, 2, 3.0),

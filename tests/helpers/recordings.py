@@ -148,6 +148,8 @@ def _values(type_: Any) -> st.SearchStrategy[Any]:
 def _bounded(type_: Any, bounds: msgspec.Meta) -> st.SearchStrategy[Any]:
     if type_ is int:
         return st.integers(bounds.ge, bounds.le)
+    if type_ is bytes:
+        return st.binary(min_size=bounds.min_length or 0, max_size=bounds.max_length)
     return _values(type_)
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
+from cryptography.hazmat.primitives.asymmetric import ec
 from msgspec.structs import replace
 
 from common import AT_REST, ROOT, with_fields
@@ -22,6 +23,7 @@ from companion.config.vehicle import protocol_of
 from companion.ground.session import FleetSession
 from companion.link.fleet.identity import load
 from companion.link.fleet.zenoh_session import SETTINGS
+from companion.security.admission import Admitted, AdmittedParticipant, key_der
 from companion.security.identity import Identity
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name, participant_name
 from companion.security.provisioning import Provisioned, provision_new, revoke
@@ -62,6 +64,17 @@ def tree(folder: Path) -> dict[str, tuple[int, bytes]]:
         str(path.relative_to(folder)): (path.stat().st_mode, path.read_bytes() if path.is_file() else b"")
         for path in sorted(folder.rglob("*"))
     }
+
+
+def admitted_vehicles(fleet: str, keys: Mapping[int, ec.EllipticCurvePrivateKey]) -> Admitted:
+    """A list of vehicles with these keys, that no authority has signed."""
+    entries = [
+        AdmittedParticipant(
+            name=f"vehicle-{i}", serial=f"{i:x}", public_key=key_der(keys[i].public_key()), expires_at=NOW
+        )
+        for i in keys
+    ]
+    return Admitted(fleet=fleet, number=1, issued_at=NOW, participants=tuple(entries))
 
 
 FLEET_NAME = "secured"
@@ -221,8 +234,8 @@ def false_messages(fleet: SecuredFleet, operators: tuple[str, ...]) -> Iterator[
                 packet, vehicle_id=i, session=sessions[i], sequence=10**6 + number, sent_s=time.monotonic()
             )
             yield peer_key(name, i), encode_peer(false)
-            yield status_key(name, i), b"\x08nonsense"
-            yield reply_key(name, i), b"\x08nonsense"
+            yield status_key(name, i), b"\x09nonsense"
+            yield reply_key(name, i), b"\x09nonsense"
             for operator in operators:
                 land = Command(CommandName.LAND, 900 + number % 90, operator, sessions[i])
                 yield command_key(name, i, operator), encode(land)

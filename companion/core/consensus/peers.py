@@ -172,6 +172,7 @@ class PeerState(Struct, frozen=True, gc=False):
     least_apart_s: float
     measured_s: float
     term: Term = (0, 0)  # term in the packet's leader beacon, (0, 0) without a beacon
+    proven: bool = True  # False: no more than hearsay of this term
 
     def position_at(self, now_s: float) -> Vector3:
         """Position extrapolated over its age, so that both sides of x_i - x_j refer to the same time."""
@@ -298,7 +299,9 @@ class PeerTable:
             self.ground_position_enu_m[vehicle_id] = motion.position_enu_m
         measured_s = received_s - stream.late_s - motion.state_age_s
         term = (beacon.epoch, -beacon.claim) if beacon is not None else (0, 0)
-        self.known[vehicle_id] = PeerState(packet, received_s, stream.clock.least_apart_s, measured_s, term)
+        self.known[vehicle_id] = PeerState(
+            packet, received_s, stream.clock.least_apart_s, measured_s, term, received.proven
+        )
         return None
 
     def in_time(self, now_s: float) -> tuple[dict[int, PeerState], dict[int, PeerState]]:

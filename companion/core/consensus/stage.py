@@ -230,10 +230,16 @@ class ConsensusStage:
         )
 
     def _newer_terms(self, now_s: float, peers: Iterable[PeerState], epochs_up_to: int) -> tuple[Notice, ...]:
-        """The events of the changes of the lead that these peers report."""
+        """The events of the changes of the lead that these peers report, and that the named leader has stated itself.
+
+        With identities a follower's hearsay of a newer term counts for nothing: any admitted vehicle could depose the leader.
+        """
         events: tuple[Notice, ...] = ()
         for peer in peers:
-            if self.leadership.term < peer.term and peer.term[0] <= epochs_up_to:  # a command may just have lowered it
+            newer = (
+                self.leadership.term < peer.term and peer.term[0] <= epochs_up_to
+            )  # a command may just have lowered it
+            if newer and peer.proven:
                 events += self.leadership.receive(now_s, [peer.packet.leader.beacon])
         return events
 

@@ -45,6 +45,7 @@ from companion.wire.messages import StatusReport, WireError, decode_command, dec
 
 if TYPE_CHECKING:
     from companion.link.fleet.peer_datagrams import PeerDatagrams
+    from companion.link.fleet.term_proofs import TermProofs
     from companion.security.admission import Admitted
     from companion.security.identity import Identity
 
@@ -100,6 +101,7 @@ class ZenohLink:
         self._early: list[ReceivedPeerPacket] = []  # for the next `receive`
         self._unanswered: dict[tuple[str, int], Command] = {}
         self._log = CommandLog()
+        self._terms = _term_proofs(vehicle_id, fleet, identity, reject) if identity else None
         self.session = open_session(endpoints.listen, endpoints.connect, identity)
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
@@ -144,10 +146,10 @@ class ZenohLink:
         commands = each(samples, lambda sample: self._command(sample, late), self._refuse(Code.COMMAND_MALFORMED))
         early, self._early = self._early, []
         packets = [ReceivedPeerPacket(now_s, packet) for packet in self._peers.receive()]
-        return (
-            (*early, *packets, *(self._datagrams.receive(now_s) if self._datagrams else ())),
-            (*aborts, *commands),
-        )
+        received = (*early, *packets, *(self._datagrams.receive(now_s) if self._datagrams else ()))
+        if self._terms:
+            received = tuple(map(self._terms.judge, received))
+        return received, (*aborts, *commands)
 
     def targets(self, now_s: float) -> tuple[ReceivedTarget, ...]:
         """All target samples since the last call; empty for a vehicle that may not become leader. Never blocks."""
@@ -163,6 +165,8 @@ class ZenohLink:
 
     def publish_peer(self, packet: PeerPacket) -> None:
         """Publish the own peer packet."""
+        if self._terms:
+            packet = self._terms.attach(packet)
         if self._datagrams:
             self._datagrams.publish_peer(packet)
         else:
@@ -200,6 +204,8 @@ class ZenohLink:
         refused = [parse_common_name(one.name) for one in names if admitted.participant(one.name) is None]
         self._refused = frozenset(str(name) for name in refused) | {name.participant for name in refused}
         self._early.clear()
+        if self._terms:
+            self._terms.admit(admitted)
         for name in refused:
             if name.role is ParticipantRole.VEHICLE:
                 self._peers.refuse(int(name.id))
@@ -293,3 +299,10 @@ class ZenohLink:
             )
             return None
         return command
+
+
+def _term_proofs(vehicle_id: int, fleet: FleetConfig, identity: Identity, reject: Callable[[str], None]) -> TermProofs:
+    """Only a link with an identity loads the library for it. Raises IdentityError."""
+    from companion.link.fleet.term_proofs import TermProofs
+
+    return TermProofs(vehicle_id, fleet, identity.key(), identity.admitted, reject)

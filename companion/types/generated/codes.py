@@ -148,6 +148,7 @@ class Code(StrEnum):
     PEER_OTHER_FLEET_FILE = "PEER_OTHER_FLEET_FILE"
     PEER_NOT_A_LEADER = "PEER_NOT_A_LEADER"
     PEER_EPOCH_TOO_HIGH = "PEER_EPOCH_TOO_HIGH"
+    PEER_TERM_UNPROVEN = "PEER_TERM_UNPROVEN"
     PEER_NOT_FINITE = "PEER_NOT_FINITE"
     PEER_POSITION_IMPLAUSIBLE = "PEER_POSITION_IMPLAUSIBLE"
     PEER_POSITION_JUMPED = "PEER_POSITION_JUMPED"
@@ -293,6 +294,7 @@ TEXTS: dict[str, str] = {
     "PEER_OTHER_FLEET_FILE": "formation hash differs; give both vehicles the same fleet file",
     "PEER_NOT_A_LEADER": "claims to be leader, not permitted by the fleet file",
     "PEER_EPOCH_TOO_HIGH": "leader epoch too far above the own one; the position is used",
+    "PEER_TERM_UNPROVEN": "a new leader by hearsay, without the signature of this leader; the position is used",
     "PEER_NOT_FINITE": "packet with a number that is not finite",
     "PEER_POSITION_IMPLAUSIBLE": "position out of range",
     "PEER_POSITION_JUMPED": "position further from the last one than its speed permits",

@@ -38,7 +38,7 @@ def test_what_comes_of_a_hostile_stream_is_recorded_exactly(seed: int) -> None:
     del taken[:]
     for _ in range(60):
         fleet.tick(stream.next())
-    assert sum(len(inbox.peers) for _, inbox, _ in taken) > len(taken) * 3
+    assert sum(len(inbox.peers) for _, inbox, _ in taken) > len(taken) * 2.5  # two or more are true ones
     for now_s, inbox, outbox in taken:
         # By their texts, because NaN is like no other NaN
         assert repr(decode_inbox(encode_inbox(now_s, inbox))) == repr((now_s, inbox))

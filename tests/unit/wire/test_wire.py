@@ -26,7 +26,7 @@ from companion.types.commands import (
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import EAST, FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
-from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender, TargetSample
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender, TargetSample, TermProof
 from companion.types.status import (
     AgentIdentity,
     AutopilotReport,
@@ -75,6 +75,7 @@ headings = st.builds(Heading, numbers, numbers, numbers)
 leader_beacons = st.none() | st.builds(
     LeaderBeacon, st.integers(1, 250), counts, counts, numbers, st.integers(0, 250), st.just(EAST) | headings
 )
+proofs = st.none() | st.builds(TermProof, counts, st.binary(min_size=64, max_size=64))
 
 flown_slots = st.builds(FlownSlot, vectors, vectors, vectors, counts, counts, st.floats(0.0, 600.0))
 packets = st.builds(
@@ -83,7 +84,7 @@ packets = st.builds(
     phase=st.sampled_from(FlightPhase),
     role=st.sampled_from(Role),
     motion=st.builds(Motion, vectors, vectors, vectors, numbers, numbers),
-    leader=st.builds(LeaderReport, st.integers(1, 250), leader_beacons),
+    leader=st.builds(LeaderReport, st.integers(1, 250), leader_beacons, proofs),
     slot=flown_slots,
     reference=st.none() | st.builds(HeldReference, counts, counts, numbers),
     change=st.none() | changes,
@@ -201,6 +202,7 @@ def test_peer_packet_size_is_bounded() -> None:
     assert len(encode_peer(PACKET)) < 300
     turns = LeaderBeacon(1, 7, 60, 12.5, heading=Heading(1.0, 0.2, 0.1))
     assert len(encode_peer(with_fields(PACKET, beacon=turns))) < 330
+    assert len(encode_peer(with_fields(PACKET, beacon=turns, proof=TermProof(2**32 - 1, bytes(64))))) < 405
 
 
 @pytest.mark.parametrize("name", DECODERS)
@@ -248,8 +250,8 @@ def test_deep_nesting_and_huge_counts_are_malformed(name: str, payload: bytes) -
 @pytest.mark.parametrize("name", DECODERS)
 def test_other_wire_version_is_not_reported_as_malformed(name: str) -> None:
     decode, good = DECODERS[name]
-    with pytest.raises(WireError, match=f"wire version 9, expected {WIRE_VERSION}"):
-        decode(b"\x09" + good[1:])
+    with pytest.raises(WireError, match=f"wire version 10, expected {WIRE_VERSION}"):
+        decode(b"\x0a" + good[1:])
     with pytest.raises(WireError, match=f"malformed {name}"):
         decode(good[:-1])
     with pytest.raises(WireError, match="empty message"):
