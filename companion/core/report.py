@@ -87,8 +87,11 @@ class ReportStage:
     def step(self, decided: Decision) -> Report:
         """A packet every tick, a status ten times a second and at once with an event."""
         now_s, separation = decided.now_s, decided.setpoint.separation
-        events = decided.intake.events + decided.fitness.events + decided.perception.events + decided.consensus.events
+        events = decided.intake.events + decided.fitness.events + decided.consensus.events
         events += decided.flight.events + decided.guidance.events + decided.safety.events
+        events += (
+            decided.perception.events
+        )  # the last one stays in the status: the autopilot's words name the cause of a flag
         if separation.changed_m_s2 > 0.0:
             events += self._interventions.step(now_s, separation)
         if events:

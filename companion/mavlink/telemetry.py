@@ -8,6 +8,7 @@ and a recording would keep them.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from math import isfinite, nan
 
@@ -54,6 +55,14 @@ LENGTH_DECIMALS = 4  # 0.1 mm, 0.1 mm/s
 ANGLE_DECIMALS = 5  # 10 urad, 0.0006 degrees
 POSITIONS = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS
 
+FAILSAFE_STATES = (mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY, mavlink.MAV_STATE_FLIGHT_TERMINATION)
+# ArduCopter: "Battery Failsafe", "EKF variance", "Battery 1 is low 10.50V used 900 mAh"; PX4: "Failsafe activated", "Critical
+# battery level". Those that end one are "EKF Failsafe Cleared", "Failsafe mode deactivated".
+BEGINS_FAILSAFE = re.compile(
+    r"failsafe|ekf variance|(low|critical|emergency) battery|battery \d+ is (low|critical)", re.IGNORECASE
+)
+ENDS_FAILSAFE = re.compile(r"clear|deactivat|disabled|prearm", re.IGNORECASE)
+
 LANDED_STATES = {int(state): state for state in LandedState}
 
 
@@ -82,8 +91,9 @@ def attitude(values: Sequence[float], received_s: float) -> AttitudeSample | Non
 
 
 def heartbeat(message: MavlinkMessage, autopilot: AutopilotKind, received_s: float) -> HeartbeatSample:
-    """Armed flag of HEARTBEAT, from an autopilot of this make."""
-    return HeartbeatSample(received_s, bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED), autopilot)
+    """Armed flag and state of HEARTBEAT, from an autopilot of this make."""
+    armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+    return HeartbeatSample(received_s, armed, autopilot, message.system_status in FAILSAFE_STATES)
 
 
 def landed(message: MavlinkMessage, received_s: float) -> LandedSample:
@@ -158,7 +168,7 @@ class TextAssembler:
         """The whole text when its last chunk arrives, else None. A text with a lost chunk is dropped."""
         chunk: str = message.text
         if message.id == 0:
-            return TextSample(received_s, message.severity, printable(chunk.strip()))
+            return _text(message.severity, chunk, received_s)
         if message.chunk_seq == 0:
             self._id, self._chunks = message.id, []
         if message.id != self._id or message.chunk_seq != len(self._chunks):
@@ -166,4 +176,11 @@ class TextAssembler:
         self._chunks.append(chunk)
         if len(chunk) >= 50:
             return None
-        return TextSample(received_s, message.severity, printable("".join(self._chunks).strip()))
+        return _text(message.severity, "".join(self._chunks), received_s)
+
+
+def _text(severity: int, received: str, received_s: float) -> TextSample:
+    text = printable(received.strip())
+    bad = severity <= mavlink.MAV_SEVERITY_WARNING
+    failsafe = bad and bool(BEGINS_FAILSAFE.search(text)) and not ENDS_FAILSAFE.search(text)
+    return TextSample(received_s, severity, text, failsafe)

@@ -87,6 +87,7 @@ class VehicleState(Struct, frozen=True, gc=False):
     jump_time_s: float = float("-inf")  # when the autopilot's position last jumped
     position_error: PositionError | None = None  # None if it was never reported; it grows while the position is unaided
     position_unaided: bool = False  # the autopilot has lost GPS or vision, and dead-reckons
+    failsafe_s: float = float("-inf")  # when the armed autopilot last reported a failsafe of its own
     estimator_healthy: bool = True  # as last reported; True where it is not reported
     battery_percent: float = -1.0  # -1 where unknown
 
@@ -165,11 +166,12 @@ class ModeSample(Struct, frozen=True, gc=False):
 
 
 class HeartbeatSample(Struct, frozen=True, gc=False):
-    """HEARTBEAT of the autopilot: its armed flag and its make."""
+    """HEARTBEAT of the autopilot: its armed flag and its make. `critical`: MAV_STATE_CRITICAL or worse."""
 
     received_s: float
     armed: bool
     autopilot: AutopilotKind
+    critical: bool = False
 
 
 class LandedSample(Struct, frozen=True, gc=False):
@@ -245,11 +247,12 @@ class AckSample(Struct, frozen=True, gc=False):
 
 
 class TextSample(Struct, frozen=True, gc=False):
-    """One complete STATUSTEXT."""
+    """One complete STATUSTEXT. `failsafe`: it reports one that begins."""
 
     received_s: float
     severity: int
     text: str
+    failsafe: bool = False
 
 
 Telemetry = (

@@ -17,7 +17,7 @@ from companion.types.values import ZERO3, Vector3
 from sitl.autopilots.logs import StandInLogs
 from sitl.autopilots.parameters import AutopilotData, StandInParameters
 from sitl.vehicle.automatic_flight import AutomaticFlight, Course, GroundContact, Speeds
-from sitl.vehicle.config import AutopilotFile, PositionLoss, StandIn
+from sitl.vehicle.config import AutopilotFile, PositionLoss, ReportedFailsafe, StandIn
 from sitl.vehicle.control import AttitudeSetpoint
 from sitl.vehicle.quadrotor import MOTORS_OFF, Quadrotor
 
@@ -46,7 +46,9 @@ class Incidents:
         self._flights = sorted((p for p in stand_in.pilots if p.vehicle == file.id), key=lambda p: p.at_s)
         self._refusals = [r for r in stand_in.refusals if r.vehicle == file.id]
         self._losses = sorted((p for p in stand_in.position_losses if p.vehicle == file.id), key=lambda p: p.at_s)
+        self._failsafes = sorted((f for f in stand_in.failsafes if f.vehicle == file.id), key=lambda f: f.at_s)
         self.loss: PositionLoss | None = None  # under way
+        self.failsafe: ReportedFailsafe | None = None  # the newest that has begun
         self.course: Course | None = None
         self.next_s = self._next_s()  # when the next reset or pilot is due
 
@@ -54,7 +56,8 @@ class Incidents:
         if self.loss:
             return -inf  # its drift grows with every step
         due_s = [r.at_s for r in self._resets[:1]] + [p.at_s for p in self._flights[:1]]
-        return min(due_s + [p.at_s for p in self._losses[:1]], default=inf)
+        due_s += [p.at_s for p in self._losses[:1]] + [f.at_s for f in self._failsafes[:1]]
+        return min(due_s, default=inf)
 
     def reset(self, now_s: float) -> Vector3 | None:
         """The shift of an estimator reset that is due, ENU in metres. To be called until it returns None."""
@@ -71,6 +74,14 @@ class Incidents:
         elif self._losses and self._losses[0].at_s <= now_s:
             self.loss = self._losses.pop(0)
         self.next_s = self._next_s()
+
+    def failsafe_text(self, now_s: float) -> str:
+        """The text of a failsafe that begins now, or an empty one."""
+        if not self._failsafes or self._failsafes[0].at_s > now_s:
+            return ""
+        self.failsafe = self._failsafes.pop(0)
+        self.next_s = self._next_s()
+        return self.failsafe.text
 
     def pilot_takes_over(self, now_s: float) -> bool:
         """Whether a pilot takes over now, to fly `course`."""
@@ -220,6 +231,12 @@ class Autopilot(ABC):
         return self._control_steps * self.dt_s
 
     @property
+    def reported_status(self) -> int:
+        """MAV_STATE of HEARTBEAT, critical while a failsafe is reported that only warns."""
+        failsafe = self._incidents.failsafe
+        return STATE_CRITICAL if failsafe and self.time_s < failsafe.until_s else self.system_status
+
+    @property
     def boot_ms(self) -> int:
         """Its own clock."""
         return round(self.time_s * self._clock_ms_s)
@@ -302,6 +319,8 @@ class Autopilot(ABC):
             self.quad.drift_m = (x * half_s2, y * half_s2, z * half_s2)
         else:
             self.quad.drift_m = self.quad.drift_m_s = ZERO3
+        if text := self._incidents.failsafe_text(self.time_s):
+            self.send_text(WARNING, text)
         if self._incidents.pilot_takes_over(self.time_s) and self.armed and self._ground.flies:
             self._enter_pilot_mode()
 

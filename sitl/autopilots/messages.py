@@ -38,7 +38,7 @@ def heartbeat(autopilot: Autopilot) -> MavlinkMessage:
     flags = M.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | M.MAV_MODE_FLAG_STABILIZE_ENABLED | mode.flags
     flags |= M.MAV_MODE_FLAG_SAFETY_ARMED if autopilot.armed else 0
     return M.MAVLink_heartbeat_message(
-        M.MAV_TYPE_QUADROTOR, autopilot.data.mav_autopilot, flags, mode.custom_mode, autopilot.system_status, 3
+        M.MAV_TYPE_QUADROTOR, autopilot.data.mav_autopilot, flags, mode.custom_mode, autopilot.reported_status, 3
     )
 
 

@@ -80,6 +80,7 @@ NOT_MODELLED = dict.fromkeys(
         "stand_in.pilots",
         "stand_in.refusals",
         "stand_in.position_losses",
+        "stand_in.failsafes",
     ),
     "sitl run or sitl fly",
 ) | dict.fromkeys(("agent_ends", "links.partitions", "links.late_telemetry"), "sitl run")

@@ -331,6 +331,7 @@ BY_VEHICLE = (
     "stand_in.pilots",
     "stand_in.refusals",
     "stand_in.position_losses",
+    "stand_in.failsafes",
     "links.late_telemetry",
     "agent_ends",
 )

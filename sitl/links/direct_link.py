@@ -59,6 +59,12 @@ def _mode(autopilot: Autopilot, received_s: float) -> Samples:
     return (ModeSample(received_s, *DIALECTS[autopilot.kind].mode_of(autopilot.mode.custom_mode)),)
 
 
+def _heartbeat(autopilot: Autopilot, received_s: float) -> Samples:
+    critical = autopilot.reported_status in telemetry.FAILSAFE_STATES
+    sample = HeartbeatSample(received_s, autopilot.armed, autopilot.kind, critical)
+    return (sample, *_mode(autopilot, received_s))
+
+
 def _position(autopilot: Autopilot, received_s: float) -> Samples:
     if not autopilot.reports_position:
         return ()
@@ -83,7 +89,7 @@ def _error(autopilot: Autopilot, received_s: float) -> Samples:
 
 # The attitude is without the 32-bit quaternion, which changes it by less than a microradian.
 SAMPLES: dict[int, Callable[[Autopilot, float], Samples]] = {
-    M.MAVLINK_MSG_ID_HEARTBEAT: lambda own, at_s: (HeartbeatSample(at_s, own.armed, own.kind), *_mode(own, at_s)),
+    M.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
     M.MAVLINK_MSG_ID_CURRENT_MODE: _mode,
     M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _position,
     M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: lambda own, at_s: (AttitudeSample(at_s, *own.quad.estimated_euler_rad()),),

@@ -146,6 +146,19 @@ class PositionLoss(Section, frozen=True):
     receiver: Literal["silent", "jammed"] = "silent"
 
 
+class ReportedFailsafe(Section, frozen=True):
+    """A failsafe that one autopilot reports, and whose action is to warn (BATT_FS_LOW_ACT 0, COM_LOW_BAT_ACT 0).
+
+    text: its STATUSTEXT
+    until_s: until then HEARTBEAT says MAV_STATE_CRITICAL
+    """
+
+    vehicle: VehicleId
+    at_s: FlightTime
+    until_s: FlightTime = 36_000.0
+    text: Annotated[str, Meta(min_length=1, max_length=50)] = "Battery Failsafe"
+
+
 class ModeRefusal(Section, frozen=True):
     """Mode changes that one flying autopilot refuses, as without a position.
 
@@ -170,6 +183,7 @@ class StandIn(Section, frozen=True):
     pilots: vehicles that a pilot takes over
     refusals: mode changes that autopilots refuse from then on
     position_losses: vehicles that lose GPS or vision
+    failsafes: failsafes that autopilots report, and only warn
     clock_slow_percent: how much slower the autopilots' clocks run than this computer's: PX4's 1 to 2 %
     parameters: autopilot parameters by name, for those that the stand-in has
     """
@@ -185,6 +199,7 @@ class StandIn(Section, frozen=True):
     pilots: tuple[PilotedFlight, ...] = ()
     refusals: tuple[ModeRefusal, ...] = ()
     position_losses: tuple[PositionLoss, ...] = ()
+    failsafes: tuple[ReportedFailsafe, ...] = ()
     clock_slow_percent: Annotated[float, Meta(ge=-5, le=5)] = 0.0
     parameters: dict[str, float] = field(default_factory=dict)
 

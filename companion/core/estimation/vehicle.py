@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
-from math import dist, hypot, isfinite
+from math import dist, hypot, inf, isfinite
 from typing import Any
 
 from msgspec import Struct
@@ -32,6 +32,7 @@ from companion.types.autopilot import (
     RequestOrigin,
     SystemSample,
     Telemetry,
+    TextSample,
     ThrustSample,
     VehicleState,
 )
@@ -58,6 +59,7 @@ MAX_LOCAL_M = 100_000.0  # the 32-bit floats of LOCAL_POSITION_NED lose centimet
 MAX_SPEED_M_S = 100.0
 REBOOT_S = 1.0  # time_boot_ms decreasing by more is a reboot, by less a reordered datagram
 EVENT_PERIOD_S = 1.0  # repeated jumps are reported no more often
+FAILSAFE_STAYS_S = 5.0  # HEARTBEAT comes once a second, a text once
 LATE_PERIOD_S = 5.0  # so are late positions
 
 
@@ -82,6 +84,7 @@ class VehicleTracker:
         self._follows_ground = height_from_takeoff
         self._position: PositionSample | None = None
         self._accuracy = PositionAccuracy(uses_gps=fleet_origin is not None)
+        self._failsafe_text = ""  # as reported last
         self._jump_s = self._late_reported_s = self._origin_asked_s = float("-inf")
         self._healthy_by_status = self._healthy_by_system = True  # ESTIMATOR_STATUS, SYS_STATUS
         self.rejected: Counter[str] = Counter()
@@ -99,6 +102,7 @@ class VehicleTracker:
             GlobalPositionSample: self._fold_global_position,
             EstimatorSample: self._fold_error,
             SystemSample: self._fold_system,
+            TextSample: self._fold_text,
         }
 
     def step(self, now_s: float, telemetry: Iterable[Telemetry], before: Flight) -> Perception:
@@ -210,6 +214,22 @@ class VehicleTracker:
 
     def _fold_heartbeat(self, sample: HeartbeatSample) -> None:
         self._fields.update(autopilot=sample.autopilot, armed=sample.armed, heartbeat_time_s=sample.received_s)
+        if sample.critical:
+            self._report_failsafe(sample.received_s, "")
+
+    def _fold_text(self, sample: TextSample) -> None:
+        if sample.failsafe:
+            self._report_failsafe(sample.received_s, sample.text)
+
+    def _report_failsafe(self, received_s: float, text: str) -> None:
+        """One of the autopilot itself. On the ground it is a failing check. HEARTBEAT, which names no cause, repeats it."""
+        if not self._fields.get("armed", False):
+            return
+        lasts = received_s - self._fields.get("failsafe_s", -inf) < FAILSAFE_STAYS_S
+        self._fields["failsafe_s"] = received_s
+        if not lasts or (text and text != self._failsafe_text):
+            self._failsafe_text = text
+            self._events.append(Notice(Code.FAILSAFE_ACTIVE, f"the autopilot: {text or 'MAV_STATE_CRITICAL'}"))
 
     def _fold_landed(self, sample: LandedSample) -> None:
         self._fields.update(landed=sample.landed, landed_time_s=sample.received_s)

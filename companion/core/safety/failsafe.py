@@ -15,6 +15,7 @@ from msgspec import Struct
 from companion.core.autopilot import AutopilotProfile
 from companion.core.consensus.stage import Consensus
 from companion.core.estimation.corrections import LARGEST_JUMP_M, ORIGIN_WITHIN_S
+from companion.core.estimation.vehicle import FAILSAFE_STAYS_S
 from companion.core.safety.limits import OutputLimits
 from companion.types.autopilot import VehicleState
 from companion.types.flight import COOPERATING, FLAG_TEXTS, HELD, STREAMING, FailsafeAction, FlightPhase, HealthFlag
@@ -122,6 +123,15 @@ FAILSAFES: tuple[Failsafe, ...] = (
         (WARN, Step(A.LAND, 1.0)),
         "GPS or vision in use again, with a known accuracy",
         in_hold=True,
+    ),
+    # Most often the autopilot changes its mode at once, and flies itself.
+    Failsafe(
+        C.FAILSAFE_ACTIVE,
+        "next HEARTBEAT or text",
+        (WARN, Step("low_battery_action", 3.0)),
+        "{} s without either",
+        stays_s=FAILSAFE_STAYS_S,
+        latched=True,
     ),
     # Autopilots overshoot the commanded limit, and gusts add to it. PX4 waits 0.3 s as well (FD_FAIL_R_TTRI).
     Failsafe(C.TILT_EXCEEDED, "`max_tilt_deg` and {} deg", (WARN, Step(A.HOLD, 0.3)), "less tilt", limit=10.0),
@@ -249,6 +259,8 @@ def health_flags(now_s: float, vehicle: VehicleState, limits: HealthLimits) -> s
         flags.add(F.ESTIMATOR_BAD)
     if vehicle.position_unaided:
         flags.add(F.POSITION_UNAIDED)
+    if now_s - vehicle.failsafe_s < FAILSAFE_STAYS_S:
+        flags.add(F.FAILSAFE_ACTIVE)
     if acos(cos(vehicle.roll_rad) * cos(vehicle.pitch_rad)) > limits.envelope.max_tilt_rad + TILT_MARGIN_RAD:
         flags.add(F.TILT_EXCEEDED)
     percent, low, critical = vehicle.battery_percent, limits.low_battery_percent, limits.critical_battery_percent

@@ -25,6 +25,7 @@ class Code(StrEnum):
     ESTIMATOR_BAD = "ESTIMATOR_BAD"
     POSITION_UNAIDED = "POSITION_UNAIDED"
     TILT_EXCEEDED = "TILT_EXCEEDED"
+    FAILSAFE_ACTIVE = "FAILSAFE_ACTIVE"
     TICK_LATE = "TICK_LATE"
     BATTERY_LOW = "BATTERY_LOW"
     BATTERY_CRITICAL = "BATTERY_CRITICAL"
@@ -245,6 +246,7 @@ class HealthFlag(StrEnum):
     POSITION_JUMPED = "POSITION_JUMPED"
     ESTIMATOR_BAD = "ESTIMATOR_BAD"
     POSITION_UNAIDED = "POSITION_UNAIDED"
+    FAILSAFE_ACTIVE = "FAILSAFE_ACTIVE"
     TILT_EXCEEDED = "TILT_EXCEEDED"
     TICK_LATE = "TICK_LATE"
     BATTERY_LOW = "BATTERY_LOW"
@@ -269,6 +271,7 @@ TEXTS: dict[str, str] = {
     "ESTIMATOR_BAD": "the autopilot's estimator reports a bad position",
     "POSITION_UNAIDED": "the autopilot dead-reckons: GPS or vision is lost",
     "TILT_EXCEEDED": "tilted beyond the limit",
+    "FAILSAFE_ACTIVE": "the autopilot reports a failsafe of its own",
     "TICK_LATE": "the agent's ticks begin late",
     "BATTERY_LOW": "battery below leave_below_percent",
     "BATTERY_CRITICAL": "battery below land_below_percent",

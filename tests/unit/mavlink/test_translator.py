@@ -61,6 +61,26 @@ def test_attitude_is_converted_to_flu_in_enu() -> None:
     assert (sample.roll_rad, sample.pitch_rad, sample.yaw_rad) == pytest.approx((0.1, -0.2, pi / 2 - 0.3), abs=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("text", "begins"),
+    [
+        ("Battery Failsafe", True),
+        ("EKF variance", True),
+        ("EKF Failsafe: changed to LAND Mode", True),
+        ("EKF Failsafe Cleared", False),
+        ("Battery 1 is low 10.50V used 900 mAh", True),
+        ("Failsafe activated: switching to Land", True),
+        ("Failsafe mode deactivated", False),
+        ("Critical battery level, land now", True),
+        ("PreArm: Battery failsafe", False),
+        ("Low altitude", False),
+    ],
+)
+def test_a_text_of_a_failsafe_that_begins_is_known(text: str, begins: bool) -> None:
+    data = from_autopilot(mavlink.MAVLink_statustext_message(4, text.encode()))
+    assert Translator(3, AutopilotKind.ARDUPILOT).telemetry(data, 9.0) == [TextSample(9.0, 4, text, begins)]
+
+
 @pytest.mark.parametrize("quaternion", [(float("nan"), 0, 0, 0), (0, 0, 0, 0), (2, 0, 0, 0)])
 def test_invalid_attitude_is_dropped_and_counted(quaternion: tuple[float, ...]) -> None:
     data = from_autopilot(mavlink.MAVLink_attitude_quaternion_message(1500, *quaternion, 0, 0, 0))
@@ -73,7 +93,7 @@ def test_mode_and_armed_state_are_read() -> None:
     armed = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
     message = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, armed, AUTO_LOITER, 5, 3)
     assert Translator(3, AutopilotKind.PX4).telemetry(from_autopilot(message), 9.0) == [
-        HeartbeatSample(9.0, armed=True, autopilot=AutopilotKind.PX4),
+        HeartbeatSample(9.0, armed=True, autopilot=AutopilotKind.PX4, critical=True),
         ModeSample(9.0, AutopilotMode.HOLD, "AUTO.LOITER"),
     ]
     current = mavlink.MAVLink_current_mode_message(0, 6 << 16, 6 << 16)

@@ -62,6 +62,7 @@ IN_FORMATION: dict[HealthFlag, dict[str, float]] = {
     F.POSITION_JUMPED: {"hold": 0.0},
     F.ESTIMATOR_BAD: {"warn": 0.0, "hold": 1.0},
     F.POSITION_UNAIDED: {"warn": 0.0, "hold": 1.0},
+    F.FAILSAFE_ACTIVE: {"warn": 0.0, "hold": 3.0},
     F.TILT_EXCEEDED: {"warn": 0.0, "hold": 0.3},
     F.TICK_LATE: {"warn": 0.0, "hold": 5.0},
     F.BATTERY_LOW: {"warn": 0.0, "hold": 3.0},
@@ -72,6 +73,7 @@ AFTERWARDS: dict[HealthFlag, dict[str, float]] = {
     F.LEADER_LOST: {"land": 10.0},
     F.FLEET_LINK_LOST: {"land": 15.0},
     F.POSITION_UNAIDED: {"land": 1.0},
+    F.FAILSAFE_ACTIVE: {"land": 3.0},
     F.BATTERY_LOW: {"land": 3.0},
     F.BATTERY_CRITICAL: {"land": 3.0},
 }
@@ -80,7 +82,7 @@ IN_A_COMMANDED_HOLD: dict[HealthFlag, dict[str, float]] = {
     F.POSITION_UNAIDED: {"land": 1.0},
 }
 STOPS = (F.POSITION_STALE, F.ATTITUDE_STALE, F.MODE_STALE, F.FRAME_UNKNOWN)
-LATCHED = (F.BATTERY_LOW, F.BATTERY_CRITICAL)  # a recovered voltage says nothing
+LATCHED = (F.BATTERY_LOW, F.BATTERY_CRITICAL, F.FAILSAFE_ACTIVE)  # a recovered voltage says nothing
 LATE_FOR_S = 1.0  # TICK_LATE clears so long after the last late tick
 NOT_FLOWN_BY_THE_AGENT = sorted(set(P) - STREAMING - {P.HOLD, P.RELEASE})
 LEAVING = (P.RELEASE, P.LAND, P.RETURN)  # out of formation they begin with the stream
@@ -164,6 +166,7 @@ class Vehicle:
             jump_time_s=0.0 if F.POSITION_JUMPED in raised else -inf,
             position_error=PositionError(6.0 if F.ESTIMATOR_BAD in raised else 0.3, 0.3),
             position_unaided=F.POSITION_UNAIDED in raised,
+            failsafe_s=now_s if F.FAILSAFE_ACTIVE in raised else -inf,
             battery_percent=percent,
         )
 
