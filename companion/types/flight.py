@@ -52,7 +52,11 @@ FLAG_TEXTS = {flag: TEXTS[flag] for flag in HealthFlag}
 
 
 WITHOUT_LEADER = frozenset({HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST})
-OF_THE_FLEET = WITHOUT_LEADER | {HealthFlag.FLEET_LINK_LOST, HealthFlag.SEPARATION_VIOLATED}
+OF_THE_FLEET = WITHOUT_LEADER | {
+    HealthFlag.FLEET_LINK_LOST,
+    HealthFlag.SEPARATION_VIOLATED,
+    HealthFlag.NOT_SHAKEN_OFF,
+}
 BATTERY_FLAGS = frozenset({HealthFlag.BATTERY_LOW, HealthFlag.BATTERY_CRITICAL})
 
 

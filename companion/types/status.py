@@ -38,12 +38,13 @@ class SeparationReport(Struct, frozen=True, gc=False):
     """What the separation filter sees and does. `changed_m_s2` is the change of the commanded acceleration, 0 without one.
 
     `violated`: a vehicle is nearer than `separation_m`, by the own position and its last packet. It may be another one than
-    `nearest`, whose required distance may be larger.
+    `nearest`, whose required distance may be larger. `unshaken`: names of vehicles that no evasion shakes off.
     """
 
     nearest: NearestVehicle | None = None
     changed_m_s2: Finite = 0.0
     violated: bool = False
+    unshaken: Annotated[tuple[Word, ...], Meta(max_length=MAX_VEHICLES)] = ()
 
 
 NO_STATE_AGE_S = 1e6  # before the first position, or as good as that

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import dist, hypot, inf, sqrt
 
@@ -12,7 +12,15 @@ from msgspec.structs import replace
 from companion.core.consensus.law import Gains
 from companion.core.consensus.peers import PeerState
 from companion.core.filter.motion import KEPT_S, SPEED_MARGIN_RATIO, Ahead, Motions, Silence, Traffic, traffic_nearby
-from companion.core.filter.solver import AccelerationLimits, Constraint, Rank, filter_acceleration
+from companion.core.filter.pressure import Pressure
+from companion.core.filter.solver import (
+    MOST_STEPS,
+    AccelerationLimits,
+    Constraint,
+    Rank,
+    filter_acceleration,
+    shortfalls,
+)
 from companion.core.filter.vehicles import (
     ALONE_SHARE,
     Separation,
@@ -30,6 +38,10 @@ from companion.types.peers import ReceivedTraffic
 from companion.types.status import SeparationReport
 from companion.types.values import Vector3
 
+PRESSED_STEPS = (
+    15  # active-set steps where another vehicle presses for long: it, fence and limits contradict each other
+)
+WORSE_M_S2 = 1.0  # a turn may miss the constraints of a rank by so much more
 TURN_STEPS = 3  # active-set steps for the second solution, with the turn to the right
 
 
@@ -58,6 +70,7 @@ class SafetyFilter:
         begins_s, most_m_s = min(settings.fresh_s, KEPT_S), SPEED_MARGIN_RATIO * settings.max_speed_m_s
         self._motions = Motions(settings.own_id, Silence(begins_s, 0.0, KEPT_S, settings.braking_m_s2, most_m_s))
         self._separation = Separation(settings)
+        self._pressure = Pressure(settings.separation_m)
         self.braking_alone_m_s2 = ALONE_SHARE * settings.braking_m_s2  # as a vehicle behind this one plans to brake
         self._bounds = bounds
         self._limits = limits
@@ -92,30 +105,48 @@ class SafetyFilter:
         barriers = separation.barriers(ahead, vehicle.position_error, slot, others)
         if len(fresh) < len(peers):
             barriers += separation.barriers_below(ahead, vehicle.position_error, slot, others)
+        pressure, acting = self._pressure, barriers
+        if pressure.pressing and pressure.lasts:
+            acting = pressure.bounded(barriers)
         slowed, speed = self._bounds.limit_speed(ahead, wanted_enu_m_s2)
         # The speed limit is among the constraints, too: what the filter adds must not exceed it.
-        constraints = [barrier.constraint for barrier in barriers]
-        constraints += [b.constraint_without_margins for b in barriers if b.constraint_without_margins]
+        constraints = [barrier.constraint for barrier in acting]
+        constraints += [b.constraint_without_margins for b in acting if b.constraint_without_margins]
         constraints += self._bounds.constraints(ahead, vehicle.ground_position_enu_m)
         constraints += speed
         limits = replace(self._limits, disturbance_enu_m_s2=disturbance_enu_m_s2)
-        allowed = filter_acceleration(slowed, constraints, limits)
+        steps = PRESSED_STEPS if acting is not barriers else MOST_STEPS
+        allowed = filter_acceleration(slowed, constraints, limits, steps)
         nearest, violated = None, False
         if barriers:
             nearest, violated = nearest_and_violated(now_s, vehicle, barriers, separation.separation_m)
-        if allowed is wanted_enu_m_s2:
+        if allowed is wanted_enu_m_s2 and not self._pressure.pressing:
             return Filtered(allowed, SeparationReport(nearest, 0.0, violated))
         removed_m_s2 = 0.0
         if barriers:
-            removed_m_s2 = largest_removed_m_s2(slowed, barriers)
-            turn_x, turn_y = turn_right(slowed, vehicle.velocity_enu_m_s, self._gains, barriers)
+            removed_m_s2 = largest_removed_m_s2(slowed, acting)
+            turned_from = [barrier for barrier in acting if barrier.constraint[4] is not UNSHAKEN]
+            turn_x, turn_y = turn_right(slowed, vehicle.velocity_enu_m_s, self._gains, turned_from)
             if turn_x or turn_y:
                 x, y, z = allowed
-                allowed = filter_acceleration((x + turn_x, y + turn_y, z), constraints, limits, TURN_STEPS)
-        return Filtered(allowed, SeparationReport(nearest, dist(allowed, wanted_enu_m_s2), violated), removed_m_s2)
+                turned = filter_acceleration((x + turn_x, y + turn_y, z), constraints, limits, TURN_STEPS)
+                allowed = better_kept(turned, allowed, constraints)
+        self._pressure.step(now_s, vehicle, barriers, constraints, allowed)
+        changed_m_s2, unshaken = dist(allowed, wanted_enu_m_s2), self._pressure.unshaken
+        return Filtered(allowed, SeparationReport(nearest, changed_m_s2, violated, unshaken), removed_m_s2)
 
 
-GROUND, OBSTACLE, FENCE, SPEED = Rank.GROUND, Rank.OBSTACLE, Rank.FENCE, Rank.SPEED
+def better_kept(turned: Vector3, allowed: Vector3, constraints: Sequence[Constraint]) -> Vector3:
+    """The turned acceleration, unless it misses the constraints of a rank by far more: few steps solved it."""
+    for after, before in zip(shortfalls(turned, constraints), shortfalls(allowed, constraints), strict=True):
+        if after > before + WORSE_M_S2:
+            return allowed
+        if after < before - WORSE_M_S2:
+            break
+    return turned
+
+
+GROUND, OBSTACLE, FENCE, SPEED, UNSHAKEN = Rank.GROUND, Rank.OBSTACLE, Rank.FENCE, Rank.SPEED, Rank.UNSHAKEN
 UP = (0.0, 0.0, 1.0)
 FLOOR_M = 0.5  # above the ground where the vehicle took off
 BOUNDARY_RESPONSE_1_S = 4.0  # k: how fast b may approach 0; 1/k is longer than the attitude lag

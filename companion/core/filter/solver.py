@@ -34,6 +34,7 @@ class Rank(IntEnum):
     FENCE = 4
     MARGIN = 5  # more distance from a vehicle than separation_m, for what is not known of it
     SPEED = 6
+    UNSHAKEN = 7  # a vehicle that no evasion shakes off: `pressure.py`
 
 
 LIMIT, VEHICLE, MARGIN = Rank.LIMIT, Rank.VEHICLE, Rank.MARGIN  # enum member lookup is slow, and every tick needs them
@@ -120,7 +121,7 @@ def _solve(
         found, steps, contradiction = _active_set(start_enu_m_s2, rows, steps)
         possible = limits.limit(found)
         if steps < 0:  # half a solution may leave out what a whole one of before meets
-            return possible if complete is None else min(complete, possible, key=lambda u: _shortfalls(u, rows))
+            return possible if complete is None else min(complete, possible, key=lambda u: shortfalls(u, rows))
         if contradiction:
             complete, rows = possible, _relax(rows, contradiction)
             continue
@@ -131,7 +132,7 @@ def _solve(
         rows.append(cut)
 
 
-def _shortfalls(acceleration_enu_m_s2: Vector3, rows: Sequence[Constraint]) -> list[float]:
+def shortfalls(acceleration_enu_m_s2: Vector3, rows: Sequence[Constraint]) -> list[float]:
     """By how much it violates the row of each rank that it violates most, those first that give way last."""
     x, y, z = acceleration_enu_m_s2
     worst = [MET_M_S2] * len(Rank)

@@ -68,6 +68,8 @@ PLACED_WITHIN_M = 0.5  # nearer than that to the offset of their slots, two vehi
 GROWTH_M_S = 0.25  # the required distance from a silent vehicle grows at this rate
 LARGEST_GROWTH_RATIO = 0.5  # and by at most this times separation_m
 LEAST_DISTANCE_M = 1e-6
+SIDEWAYS_RATIO = 0.25  # nearer than this times separation_m the way out is sideways, and kept
+SIDE_M = 0.05  # a nearer vehicle shows no side to leave it by: noise would choose
 NEAREST_M = 0.1  # keeps the turn of the line between two vehicles finite
 TURNING_S2 = 0.5 * LAG_S * LAG_S
 
@@ -108,6 +110,8 @@ class Separation:
         self._braking_alone_m_s2 = ALONE_SHARE * settings.braking_m_s2
         self._braking_together_m_s2 = 2.0 * settings.braking_m_s2
         self._largest_error_m = LARGEST_ERROR_RATIO * settings.separation_m
+        self._close_m = SIDEWAYS_RATIO * settings.separation_m
+        self._sideways: dict[int | str, tuple[float, float]] = {}  # the direction to leave each close vehicle by
 
     def barriers(
         self, ahead: Ahead, own: PositionError | None, slot: FlownSlot | None, others: Iterable[Other]
@@ -136,12 +140,16 @@ class Separation:
         rx, ry, rz = x - px - vx * ahead_s, y - py - vy * ahead_s, z - pz - vz * ahead_s
         sz = rz * weight
         apart_m = sqrt(rx * rx + ry * ry + sz * sz)
-        if apart_m > LEAST_DISTANCE_M:
+        if apart_m > self._close_m:
             nx, ny, nz = rx / apart_m, ry / apart_m, sz / apart_m
-        else:  # both at the same position: each flies to its own side
-            nx, ny, nz = other.side, 0.0, 0.0
+            if self._sideways:
+                self._sideways.pop(other.key, None)
+        else:
+            nx, ny, nz = (*self._sideways_of(other, rx, ry), 0.0)
         closing_m_s = -(nx * wx + ny * wy + nz * wz)
         across_m_s2 = (wx * wx + wy * wy + wz * wz - closing_m_s * closing_m_s) / (apart_m + NEAREST_M)
+        if nz == 0.0 and apart_m <= self._close_m:
+            across_m_s2 = 0.0  # the direction does not turn
         mz = nz * weight
         offset_enu_m = (rx, ry, rz)
         required_m = self._required(error, slot, other, offset_enu_m, mz)
@@ -200,6 +208,18 @@ class Separation:
         least_m_s2 -= across_m_s * across_m_s / (apart_m + NEAREST_M)
         constraint = (nx, ny, 0.0, least_m_s2, MARGIN)
         return Barrier(constraint, other, (rx, ry, rz), required_m, margin_m, below=True)
+
+    def _sideways_of(self, other: Other, east_m: float, north_m: float) -> tuple[float, float]:
+        """The horizontal direction away from a close vehicle at this offset, the same one while it is close.
+
+        Of two at the same position each flies to its own side.
+        """
+        kept = self._sideways.get(other.key)
+        if kept is None:
+            level_m = hypot(east_m, north_m)
+            kept = (east_m / level_m, north_m / level_m) if level_m > SIDE_M else (other.side, 0.0)
+            self._sideways[other.key] = kept
+        return kept
 
     def _nearest_on_way(self, ahead: Ahead, other: Other, silence: Silence) -> Motion:
         return nearest_on_way(ahead, other.last, other.age_s, LAG_S, silence, other.height_weight)

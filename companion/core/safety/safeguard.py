@@ -26,6 +26,7 @@ from companion.core.safety.failsafe import (
     health_flags,
     leaves_after_s,
     limit_of,
+    named_notice,
     schedule,
 )
 from companion.core.safety.fleet_checks import refusal_of_return
@@ -119,9 +120,8 @@ class SafeguardStage:
             requests += self._carry_out(vehicle, flight, consensus, active)
         if not flags and not requests and active is NONE_ACTIVE:
             return SAFE
-        return Safety(
-            frozenset(flags), active.action, tuple(requests), tuple([flags_notice([flag]) for flag in active.warnings])
-        )
+        events = tuple([named_notice(flag, separation) for flag in active.warnings])
+        return Safety(frozenset(flags), active.action, tuple(requests), events)
 
     def _stop(self, now_s: float, flight: Flight) -> list[PhaseRequest]:
         """Hand over, and give up where the autopilot does not take over in time."""

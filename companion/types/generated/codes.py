@@ -22,6 +22,7 @@ class Code(StrEnum):
     FLEET_LINK_LOST = "FLEET_LINK_LOST"
     DUPLICATE_ID = "DUPLICATE_ID"
     SEPARATION_VIOLATED = "SEPARATION_VIOLATED"
+    NOT_SHAKEN_OFF = "NOT_SHAKEN_OFF"
     ESTIMATOR_BAD = "ESTIMATOR_BAD"
     POSITION_UNAIDED = "POSITION_UNAIDED"
     TILT_EXCEEDED = "TILT_EXCEEDED"
@@ -241,6 +242,7 @@ class HealthFlag(StrEnum):
     FLEET_LINK_LOST = "FLEET_LINK_LOST"
     DUPLICATE_ID = "DUPLICATE_ID"
     SEPARATION_VIOLATED = "SEPARATION_VIOLATED"
+    NOT_SHAKEN_OFF = "NOT_SHAKEN_OFF"
     OUTSIDE_FENCE = "OUTSIDE_FENCE"
     FRAME_CONTRADICTED = "FRAME_CONTRADICTED"
     POSITION_JUMPED = "POSITION_JUMPED"
@@ -268,6 +270,7 @@ TEXTS: dict[str, str] = {
     "FLEET_LINK_LOST": "no other vehicle of the fleet is received any more",
     "DUPLICATE_ID": "two agents use the same vehicle id",
     "SEPARATION_VIOLATED": "another vehicle is nearer than separation_m",
+    "NOT_SHAKEN_OFF": "no evasion shakes off another vehicle",
     "ESTIMATOR_BAD": "the autopilot's estimator reports a bad position",
     "POSITION_UNAIDED": "the autopilot dead-reckons: GPS or vision is lost",
     "TILT_EXCEEDED": "tilted beyond the limit",

@@ -103,8 +103,9 @@ def test_a_peer_that_stays_too_near_is_reported_once() -> None:
     after(flight, 1.0)
     flight.peer_position = TOO_NEAR
     near = after(flight, 20.0)
-    assert codes_of(near.events) == [Code.SEPARATION_INTERVENES, Code.SEPARATION_VIOLATED]
+    assert codes_of(near.events) == [Code.SEPARATION_INTERVENES, Code.SEPARATION_VIOLATED, Code.NOT_SHAKEN_OFF]
     assert "nearest vehicle: 1 at 0.80 m, required" in near.events[0].text
+    assert near.events[2].text == "no evasion shakes off another vehicle: 1"
 
 
 def test_a_peer_that_comes_too_near_again_is_reported_again() -> None:
@@ -134,7 +135,7 @@ def test_a_vehicle_too_near_is_pushed_away_while_the_agent_hands_over() -> None:
     flight.executes_requests = False
     flight.tick(CommandName.HOLD)
     flight.peer_position = TOO_NEAR
-    for seconds in (0.2, 2.0):
+    for seconds in (0.2, 1.5):
         near = after(flight, seconds)
         assert flight.agent.phase is FlightPhase.RELEASE
         assert near.acceleration_enu_m_s2[0] < -1.0

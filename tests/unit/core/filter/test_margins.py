@@ -73,10 +73,14 @@ def test_margins_push_no_vehicle_into_the_clearance(
     assert least >= -0.1 - INTO_CLEARANCE_M
 
 
-def test_separation_itself_comes_before_the_fence() -> None:
+def test_separation_itself_comes_before_the_fence_for_two_seconds() -> None:
+    """Then the fence does: the vehicle keeps as far off as it allows."""
     flight = beside((0.5, 0.0, 5.0), FlightPhase.HOLD, FENCE)
-    flight.fly(8.0)
+    flight.fly(2.0)
     assert flight.bodies[1].position_enu_m[0] <= -0.4
+    flight.fly(8.0)
+    assert flight.bodies[1].position_enu_m[0] == pytest.approx(-0.1, abs=0.05)
+    assert flight.reports[1].unshaken == ("2",)
 
 
 @pytest.mark.parametrize(

@@ -57,6 +57,7 @@ IN_FORMATION: dict[HealthFlag, dict[str, float]] = {
     F.FLEET_LINK_LOST: {"warn": 0.0, "hold": 5.0},
     F.DUPLICATE_ID: {"warn": 0.0},
     F.SEPARATION_VIOLATED: {"warn": 0.0},
+    F.NOT_SHAKEN_OFF: {"warn": 0.0},
     F.OUTSIDE_FENCE: {"hold": 0.0},
     F.FRAME_CONTRADICTED: {"hold": 0.0},
     F.POSITION_JUMPED: {"hold": 0.0},
@@ -187,7 +188,8 @@ class Vehicle:
         )
 
     def _separation(self) -> SeparationReport:
-        return SeparationReport(NearestVehicle("4", 1.1, 1.3), violated=F.SEPARATION_VIOLATED in self.raised)
+        violated, unshaken = F.SEPARATION_VIOLATED in self.raised, ("4",) if F.NOT_SHAKEN_OFF in self.raised else ()
+        return SeparationReport(NearestVehicle("4", 1.1, 1.3), violated=violated, unshaken=unshaken)
 
 
 def labels(safety: Safety) -> list[str]:
