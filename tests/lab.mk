@@ -15,12 +15,13 @@
 ## make hostile    hostile input for every decoder and for whole agents; writes docs/hostile.md (a quarter of an hour on two cores); HOSTILE=: a minute
 ## make gauntlet   1,000 random flights in virtual time; writes docs/gauntlet.md (over an hour on two cores; Ctrl-C reports those that are complete)
 ## make faults     flies real fleets under every fault and writes the measured table into docs/faults.md (a quarter of an hour)
+## make link-faults  flies fleets whose computers go silent or lose their network interface, in network namespaces (needs root; some minutes)
 ## make attacks    lets strangers attack a real fleet with identities and writes the table into docs/attacks.md (minutes)
 ## make test-vehicles, test-fleets  real processes one at a time: single vehicles, fleets
 ## make coverage   lines of the safety code and the separation filter that their tests do not reach; there must be none
 ## make tighten    lowers the budgets of source and tick (tests/unit/budgets.json) to today's figures
 
-.PHONY: bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet faults attacks test-vehicles test-fleets coverage tighten
+.PHONY: bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet faults link-faults attacks test-vehicles test-fleets coverage tighten
 
 LAB = $(BIN)/python -m tests
 
@@ -76,6 +77,11 @@ gauntlet: .venv/fly.ready
 FAULT_TESTS = tests/faults/test_link_faults.py tests/faults/test_process_faults.py tests/faults/test_autopilot_faults.py
 faults: .venv/test.ready
 	$(BIN)/pytest -v --durations 5 --faults --fault-table docs/faults.md $(FAULT_TESTS)
+
+# The kernel of one machine acknowledges for processes that are killed or stopped: here each computer has a network of its own,
+# whose plug is pulled. Needs root and iproute2; without them these tests are skipped, as in `make test`, which runs one of them.
+link-faults: .venv/test.ready
+	$(BIN)/pytest -v --durations 5 tests/faults/test_lost_computers.py
 
 attacks: .venv/test.ready
 	$(BIN)/pytest -v --faults --fault-table docs/attacks.md tests/faults/test_strangers.py tests/faults/test_strangers_quic.py

@@ -82,7 +82,7 @@ def address(host: int) -> str:
 
 def inside(host: int) -> list[str]:
     """What a command begins with that runs on this host."""
-    return ["ip", "netns", "exec", _namespace(host)]
+    return ["ip", "netns", "exec", namespace(host)]
 
 
 @contextmanager
@@ -91,8 +91,8 @@ def hosts(numbers: Sequence[int], loss: float, delay_s: float) -> Iterator[Radio
     with ExitStack() as undo:
         devices = {}
         for host in numbers:
-            _ip("netns", "add", _namespace(host))
-            undo.callback(_ip, "netns", "delete", _namespace(host))
+            ip("netns", "add", namespace(host))
+            undo.callback(ip, "netns", "delete", namespace(host))
             devices[host] = _tun(host)
             undo.callback(os.close, devices[host])
         radio = Radio(devices, loss, delay_s)
@@ -103,25 +103,27 @@ def hosts(numbers: Sequence[int], loss: float, delay_s: float) -> Iterator[Radio
 
 def _tun(host: int) -> int:
     """The radio's end of a TUN interface, whose other end is the interface of this host."""
-    name, own = f"radio{os.getpid()}.{host}"[:15], ["-n", _namespace(host)]
+    name, own = f"radio{os.getpid()}.{host}"[:15], ["-n", namespace(host)]
     try:
         device = os.open("/dev/net/tun", os.O_RDWR)
         fcntl.ioctl(device, TUNSETIFF, struct.pack("16sH", name.encode(), IFF_TUN | IFF_NO_PI))
     except OSError as error:
         raise HostsError(f"/dev/net/tun: {error.strerror}; expected to run as root on Linux") from error
-    _ip("link", "set", name, "netns", _namespace(host))
-    _ip(*own, "address", "add", f"{address(host)}/24", "dev", name)
+    ip("link", "set", name, "netns", namespace(host))
+    ip(*own, "address", "add", f"{address(host)}/24", "dev", name)
     for interface in ("lo", name):
-        _ip(*own, "link", "set", interface, "up")
-    _ip(*own, "route", "add", "224.0.0.0/4", "dev", name)
+        ip(*own, "link", "set", interface, "up")
+    ip(*own, "route", "add", "224.0.0.0/4", "dev", name)
     return device
 
 
-def _namespace(host: int) -> str:
+def namespace(host: int) -> str:
+    """Of a host of this process."""
     return f"companion-{os.getpid()}-{host}"
 
 
-def _ip(*arguments: str) -> None:
+def ip(*arguments: str) -> None:
+    """Run `ip` of iproute2. Raises HostsError."""
     try:
         done = subprocess.run(["ip", *arguments], capture_output=True, text=True, check=False)
     except FileNotFoundError as error:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import zenoh
 
+from companion.link.fleet.lingering import keep_from_lingering
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name
 from companion.types.errors import UnusableError
 from companion.wire.keys import (
@@ -99,6 +100,7 @@ def open_session(listen: Sequence[str], connect: Sequence[str], identity: Identi
         _check_protection(kind, endpoints, identity)
     os.environ.setdefault("ZENOH_RUNTIME", THREADS)  # there is no other way; Zenoh reads it at the first session
     zenoh.init_log_from_env_or("off")  # errors are reported here, in one line
+    keep_from_lingering()
     config = zenoh.Config()
     for path, value in {**SETTINGS, **(_security_settings(identity) if identity else {})}.items():
         config.insert_json5(path, json.dumps(value))
