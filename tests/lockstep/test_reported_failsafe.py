@@ -13,14 +13,18 @@ SCENARIO = ROOT / "config" / "scenarios" / "leaving.yaml"
 
 
 @pytest.mark.parametrize(
-    ("kind", "text"), [(AutopilotKind.PX4, "Critical battery level"), (AutopilotKind.ARDUPILOT, "Battery Failsafe")]
+    ("kind", "words"),
+    [
+        (AutopilotKind.PX4, "MAV_STATE_CRITICAL"),
+        (AutopilotKind.ARDUPILOT, "Battery Failsafe"),
+    ],  # PX4 sends an agent no texts
 )
-def test_a_vehicle_whose_autopilot_reports_a_failsafe_lands(kind: AutopilotKind, text: str) -> None:
-    failsafe = f"{{vehicle: 3, at_s: 30, until_s: 31, text: {text}}}"
+def test_a_vehicle_whose_autopilot_reports_a_failsafe_lands(kind: AutopilotKind, words: str) -> None:
+    failsafe = "{vehicle: 3, at_s: 30, until_s: 31}"
     fleet = CommandedFlight(SCENARIO, f"stand_in.autopilot={kind}", f"stand_in.failsafes=[{failsafe}]")
     fleet.go_on(30.5 - fleet.lockstep.now_s())
     assert HealthFlag.FAILSAFE_ACTIVE in fleet.newest[3].safety.flags
-    assert any(number == 3 and text in event for number, event in fleet.events)
+    assert any(number == 3 and words in event for number, event in fleet.events)
     fleet.go_on(2.0)
     assert fleet.newest[3].phase is FlightPhase.FORMATION
     fleet.until(3, FlightPhase.LAND, within_s=6.0)
