@@ -232,7 +232,10 @@ class Partition(Section, frozen=True):
 
 
 class LateTelemetry(Section, frozen=True):
-    """A time in which the telemetry of one vehicle arrives late, as from a full serial buffer. Its order stays."""
+    """A time in which the telemetry of one vehicle arrives late, as from a full serial buffer. Its order stays.
+
+    delay_s: from sampling to the tick of the agent
+    """
 
     vehicle: VehicleId
     from_s: FlightTime
