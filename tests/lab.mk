@@ -81,7 +81,7 @@ faults: .venv/test.ready
 # The kernel of one machine acknowledges for processes that are killed or stopped: here each computer has a network of its own,
 # whose plug is pulled. Needs root and iproute2; without them these tests are skipped, as in `make test`, which runs one of them.
 link-faults: .venv/test.ready
-	$(BIN)/pytest -v --durations 5 tests/faults/test_lost_computers.py
+	$(BIN)/pytest -v --durations 5 tests/faults/test_lost_computers.py tests/faults/test_interfaces.py
 
 attacks: .venv/test.ready
 	$(BIN)/pytest -v --faults --fault-table docs/attacks.md tests/faults/test_strangers.py tests/faults/test_strangers_quic.py

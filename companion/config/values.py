@@ -33,7 +33,7 @@ VehicleId = Annotated[int, about("MAVLink system id of the vehicle", ge=1, le=25
 Text = Annotated[str, Meta(min_length=1)]
 NetworkAddress = Annotated[
     str,
-    written(r"^(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):[0-9]{1,5}$", "HOST:PORT, like 192.168.1.11:7447"),
+    written(r"^[A-Za-z0-9._-]+:[0-9]{1,5}$", "HOST:PORT with an IPv4 address or a name, like 192.168.1.11:7447"),
 ]
 Seconds = Annotated[float, Meta(gt=0, le=60)]
 Coordinate = Annotated[float, Meta(ge=-10_000, le=10_000)]

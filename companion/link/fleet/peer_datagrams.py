@@ -27,7 +27,7 @@ from math import inf
 import zenoh
 
 from companion.config.fleet import FleetConfig
-from companion.config.vehicle import DatagramEndpoints
+from companion.config.vehicle import LOOPBACK, DatagramEndpoints
 from companion.link.byte_links import LinkError, explain, read_waiting, resolve
 from companion.link.fleet.zenoh_session import drain, each, subscriber
 from companion.types.notices import Code
@@ -43,6 +43,8 @@ READ_WITH_SEAL = 512
 BUFFER_BYTES = 1 << 20
 LONGEST_BYTES, BYTES_PER_VEHICLE = 600, 40  # largest peer packet: a fixed part, and slots in a formation change
 SAME_NETWORK = 1  # time to live of multicast: no router passes it on
+DEAF_AFTER_S = 1.0  # without an own datagram, which comes back at once
+JOIN_AGAIN_S = 0.5  # between two tries
 
 Address = tuple[str, int]
 
@@ -66,18 +68,45 @@ class PeerDatagrams:
         self._published: bytes | None = None
         self._read_in_a_tick = READ_WITH_SEAL if seal else DATAGRAMS_PER_VEHICLE * len(self._fleet_ids)
         self._receivers = [_resolve(endpoint) for endpoint in endpoints.send_to]
-        group = next((host for host, _ in self._receivers if ip_address(host).is_multicast), None)
-        self._socket = _open_socket(_resolve(endpoints.listen), group)
+        self._group = next((host for host, _ in self._receivers if ip_address(host).is_multicast), None)
+        self._listen = _interface(endpoints.listen, fleet) if self._group else _resolve(endpoints.listen)
+        self._name = f"multicast {self._group} on {self._listen[0]}"
+        self._socket = _open_socket(self._listen, self._group)
+        self._heard_s: float | None = None  # the last time at which no own datagram was missing
+        self._joins = 0  # tries since then
+        self._is_awaited = self._is_absent = False
 
     def receive(self, now_s: float) -> tuple[ReceivedPeerPacket, ...]:
         """All peer packets since the last call. Never blocks."""
         packets = []
         for data in read_waiting(partial(self._socket.recv, READ_BYTES), self._read_in_a_tick):
+            self._is_awaited = False
             if data == self._published:
                 continue  # the own broadcast
             if packet := self._packet(data):
                 packets.append(ReceivedPeerPacket(now_s, packet))
+        if self._group:
+            self._keep_joined(self._group, now_s)
         return tuple(packets)
+
+    def _keep_joined(self, group: str, now_s: float) -> None:
+        """The kernel gives every member its own datagrams back. Where it does not, the interface went or was made again."""
+        if not self._is_awaited or self._heard_s is None:
+            self._heard_s = now_s
+            if self._joins:
+                _log.warning("%s: joined again, after the network interface was lost", self._name)
+            self._joins, self._is_absent = 0, False
+        elif now_s - self._heard_s > DEAF_AFTER_S + self._joins * JOIN_AGAIN_S:
+            self._joins += 1
+            try:
+                opened = _open_socket(self._listen, group)
+            except LinkError as error:
+                if not self._is_absent:
+                    _log.warning("%s: nothing is sent or received: %s", self._name, error)
+                self._is_absent = True
+            else:
+                self._socket.close()
+                self._socket = opened
 
     def _packet(self, data: bytes) -> PeerPacket | None:
         if self.seal is None:
@@ -94,7 +123,7 @@ class PeerDatagrams:
         data = encode_peer(packet)
         if self.seal:
             data = self.seal.seal_packet(data)
-        self._published = data
+        self._published, self._is_awaited = data, True
         for address in self._receivers:
             with contextlib.suppress(OSError):  # a full buffer, no route or no listener: a lost packet
                 self._socket.sendto(data, address)
@@ -152,6 +181,33 @@ def _open_socket(address: Address, group: str | None) -> socket.socket:
         opened.close()
         raise LinkError(explain(error, f"UDP port {address[1]}")) from error
     return opened
+
+
+def _interface(endpoint: str, fleet: FleetConfig) -> Address:
+    """Address of the network interface of a multicast group, and its port. Raises LinkError.
+
+    Debian gives the own name of a computer the address 127.0.1.1. Then it is the interface that leads to the other vehicles.
+    """
+    host, port = _resolve(endpoint)
+    name = endpoint.rpartition(":")[0]
+    if LOOPBACK.fullmatch(name) or not ip_address(host).is_loopback:
+        return host, port
+    for member in fleet.vehicles:
+        if member.address is not None and (towards := _source_towards(member.address)):
+            return towards, port
+    raise LinkError(
+        f'"{name}" is {host} on this computer (/etc/hosts), and no other vehicle is reached over a network; expected the'
+        " address of its network interface, like 192.168.1.11"
+    )
+
+
+def _source_towards(endpoint: str) -> str | None:
+    """The own address from which packets to this one leave; None where it has no route, or is on this computer."""
+    with contextlib.suppress(LinkError, OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(_resolve(endpoint))  # sends nothing
+        source = str(probe.getsockname()[0])
+        return None if ip_address(source).is_loopback else source
+    return None
 
 
 def _resolve(endpoint: str) -> Address:

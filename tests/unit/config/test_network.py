@@ -72,7 +72,10 @@ def test_endpoints_of_the_vehicle_file_count_too(tmp_path: Path, section: str) -
         agent(tmp_path, "127.0.0.1", vehicle=section)
 
 
-@pytest.mark.parametrize("address", ["10.0.0.9", "10.0.0.9:7001/x", "a b:1", "tcp/10.0.0.9:7447"])
+@pytest.mark.parametrize(
+    "address",
+    ["10.0.0.9", "10.0.0.9:7001/x", "a b:1", "tcp/10.0.0.9:7447", "'[fd00::9]:7447'", "'[::1]:7447'", "'fd00::9:7447'"],
+)
 def test_an_address_is_a_host_and_a_port(tmp_path: Path, address: str) -> None:
     agent(tmp_path, "127.0.0.1")
     with pytest.raises(ConfigError, match=r"vehicles\[0\]\.address: .*expected HOST:PORT"):

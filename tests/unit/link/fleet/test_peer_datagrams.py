@@ -106,6 +106,18 @@ def test_publishing_continues_while_nobody_listens(address: str) -> None:
             assert first.receive(1.0) == ()
 
 
+def test_a_group_that_gives_the_own_datagrams_back_is_not_joined_again(caplog: pytest.LogCaptureFixture) -> None:
+    group = f"239.255.77.9:{free_port(socket.SOCK_DGRAM)}"
+    with link(f"127.0.0.1:{group.rpartition(':')[2]}", group) as alone:
+        for number in range(8):
+            alone.publish_peer(with_fields(PACKET, sequence=number))
+            time.sleep(0.02)
+            assert alone.receive(5.0 * number) == ()
+        for number in range(8):
+            assert alone.receive(40.0 + number) == ()  # nothing is published
+    assert not caplog.records
+
+
 def test_an_own_broadcast_is_not_received(address: str) -> None:
     with link(address, address) as alone:
         alone.publish_peer(PACKET)
