@@ -1,6 +1,6 @@
 """Link to one vehicle for bench commands (doctor, logs): the agent's MAVLink link, with mavsdk on the same bytes.
 
-mavsdk serves what is not on the 50 Hz path: parameters and flight logs. It opens no port itself, so that the agent and the
+mavsdk serves parameters, which are not on the 50 Hz path. It opens no port itself, so that the agent and the
 doctor use the same endpoints and report the same errors.
 """
 
@@ -10,15 +10,12 @@ import asyncio
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Iterable, Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from mavsdk import Configuration, Mavsdk
 from mavsdk.logging import log_subscribe
-from mavsdk.plugins.log_files import Entry, LogFiles, LogFilesError, LogFilesResult, ProgressData
 from mavsdk.plugins.param import Param, ParamError, ParamResult
 
 from companion.config.vehicle import AgentConfig
@@ -78,7 +75,8 @@ class Bench(ABC):
         key = read_signing_key(file, config.vehicle.signing)
         self.link = open_autopilot_link(file, config.vehicle, key, lambda: None, lambda _reason: None)
         self._bridge = MavsdkBridge(config.vehicle.id, self.link.relay)
-        self.link.pass_on_to(self._bridge.receive)
+        self.listeners = [self._bridge.receive]  # all get the packets of the link
+        self.link.pass_on_to(self._pass_on)
 
     @abstractmethod
     def jobs(self) -> tuple[Coroutine[None, None, None], ...]:
@@ -101,6 +99,10 @@ class Bench(ABC):
         if not outcomes:
             raise AutopilotSilentError(self._file, self._vehicle, wait_s, self.link.why_silent())
         return outcomes[0]
+
+    def _pass_on(self, packets: Sequence[bytes]) -> None:
+        for listener in self.listeners:
+            listener(packets)
 
     async def _system(self, wait_s: float) -> Any | None:
         """None without a HEARTBEAT within this time."""
@@ -167,132 +169,3 @@ class Parameters:
 
     def close(self) -> None:
         self._param.destroy()
-
-
-LIST_TRIES = 3
-POLL_PERIOD_S = 0.25
-STALLED_AFTER_S = 20.0  # without a byte: mavsdk itself requests without end, and writes 8 KiB at a time
-STOPPED_WITHIN_S = 2.0
-FIRST_SET_YEAR = 2000  # an autopilot clock that was never set is in 1970 or 1980
-
-
-class FlightLogsError(CompanionError):
-    """A list or a log that could not be read. `str()` is the reason."""
-
-
-class NothingCameError(FlightLogsError):
-    """The autopilot did not answer, or stopped answering."""
-
-
-@dataclass(frozen=True, slots=True)
-class LogEntry:
-    """One log of the autopilot's list (LOG_ENTRY). PX4 counts from 0, ArduPilot from 1.
-
-    `date_utc` is the time of the last write; None where the autopilot's clock was not set. `file` is its copy after a download.
-    """
-
-    id: int
-    date_utc: datetime | None
-    size_bytes: int
-    file: str = ""
-
-
-class FlightLogs:
-    """Logs of one autopilot. They are never erased."""
-
-    def __init__(self, system: Any) -> None:
-        """`system` is that of a Bench."""
-        self._system = system
-        self._plugin = LogFiles(system)
-        self._listed: dict[int, Entry] = {}
-
-    async def entries(self) -> tuple[LogEntry, ...]:
-        """All logs in order of id; empty where the autopilot reports none. Raises NothingCameError without a whole list.
-
-        A failed request is repeated from the start. If the first entry is lost, mavsdk requests one past the last, ArduPilot
-        answers with logs that do not exist, and mavsdk concludes that there are none. So an empty list counts only when every
-        attempt gives it. LOG_REQUEST_END of a new plugin ends such a list.
-        """
-        result = LogFilesResult.UNKNOWN
-        for attempt in range(LIST_TRIES):
-            if attempt:
-                self._plugin.destroy()
-                self._plugin = LogFiles(self._system)
-            result, entries = await self._ask()
-            if result is LogFilesResult.SUCCESS:
-                self._listed = {entry.id: entry for entry in entries}
-                return tuple(_entry(entry) for _, entry in sorted(self._listed.items()))
-        if result is LogFilesResult.NO_LOGFILES:
-            return ()
-        raise NothingCameError("no answer to the request for its list")
-
-    async def _ask(self) -> tuple[LogFilesResult, list[Entry]]:
-        loop = asyncio.get_running_loop()
-        answer: asyncio.Future[tuple[LogFilesResult, list[Entry]]] = loop.create_future()
-
-        def on_entries(result: LogFilesResult, entries: list[Entry], _: object) -> None:
-            loop.call_soon_threadsafe(_settle, answer, (result, entries))
-
-        self._plugin.get_entries_async(on_entries)
-        return await answer
-
-    async def download(self, log: LogEntry, path: Path) -> AsyncGenerator[int, None]:
-        """Write a listed log to `path`, which must not exist. Yields the number of bytes written until the log is complete.
-
-        If closed early it cancels the transfer and mavsdk removes the file. Raises FlightLogsError.
-        """
-        if not log.size_bytes:  # mavsdk would refuse it
-            path.touch()
-            return
-        loop = asyncio.get_running_loop()
-        ended: asyncio.Future[LogFilesResult] = loop.create_future()
-
-        def on_progress(result: LogFilesResult, _progress: ProgressData, _: object) -> None:
-            if result is not LogFilesResult.NEXT:
-                loop.call_soon_threadsafe(_settle, ended, result)
-
-        self._plugin.download_log_file_async(self._listed[log.id], str(path), on_progress)
-        try:
-            written, written_s = _written(path), time.monotonic()
-            while not ended.done():
-                yield written[0]
-                await asyncio.wait([ended], timeout=POLL_PERIOD_S)
-                if (now := _written(path)) != written:
-                    written, written_s = now, time.monotonic()
-                elif time.monotonic() - written_s > STALLED_AFTER_S:
-                    raise NothingCameError(f"no data for {STALLED_AFTER_S:.0f} s")
-            if ended.result() is not LogFilesResult.SUCCESS:
-                raise FlightLogsError(ended.result().name.lower().replace("_", " "))
-            yield _written(path)[0]
-        finally:
-            if not ended.done():
-                await self._stop(ended)
-
-    async def _stop(self, ended: asyncio.Future[LogFilesResult]) -> None:
-        try:
-            await asyncio.to_thread(self._plugin.cancel_download_log_file)
-        except LogFilesError:
-            return
-        await asyncio.wait([ended], timeout=STOPPED_WITHIN_S)
-
-    def close(self) -> None:
-        self._plugin.destroy()
-
-
-def _entry(entry: Entry) -> LogEntry:
-    date = datetime.strptime(entry.date, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
-    return LogEntry(entry.id, date if date.year >= FIRST_SET_YEAR else None, entry.size_bytes)
-
-
-def _settle(future: asyncio.Future[Any], value: object) -> None:
-    if not future.done():
-        future.set_result(value)
-
-
-def _written(path: Path) -> tuple[int, int]:
-    """Size in bytes and time of the last write in ns; a write into a gap changes only the time."""
-    try:
-        stat = path.stat()
-    except FileNotFoundError:
-        return 0, 0
-    return stat.st_size, stat.st_mtime_ns

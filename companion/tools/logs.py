@@ -1,4 +1,4 @@
-"""`companion logs`: lists and downloads the autopilot's flight logs by mavsdk over the agent's link."""
+"""`companion logs`: lists and downloads the autopilot's flight logs over the agent's link."""
 
 from __future__ import annotations
 
@@ -15,14 +15,8 @@ from typing import Any
 
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
-from companion.link.bench import (
-    LISTEN_PERIOD_S,
-    Bench,
-    FlightLogs,
-    FlightLogsError,
-    LogEntry,
-    NothingCameError,
-)
+from companion.link.bench import LISTEN_PERIOD_S, Bench
+from companion.link.flight_logs import FlightLogs, FlightLogsError, LogEntry, NothingCameError
 from companion.mavlink.autopilot_types import DIALECTS
 from companion.tools.output import json_text, line_printer
 from companion.types.autopilot import AutopilotKind, HeartbeatSample, TextSample
@@ -51,7 +45,7 @@ class LogsReport:
 
 
 class NoSuchLogError(CompanionError):
-    """An id that is not in the list. `str()` names it and the existing ones."""
+    """A log that is not in the list. `str()` names it and the existing ones."""
 
 
 def choose(logs: Sequence[LogEntry], wanted: Sequence[int | str], autopilot: AutopilotKind) -> tuple[LogEntry, ...]:
@@ -65,14 +59,28 @@ def choose(logs: Sequence[LogEntry], wanted: Sequence[int | str], autopilot: Aut
 
 
 def _there(logs: Sequence[LogEntry]) -> str:
-    return f"there are {logs[0].id} to {logs[-1].id}" if len(logs) > 1 else f"there is only {logs[0].id}"
+    if len(logs) == 1:
+        return f"there is only {logs[0].id}"
+    runs: list[list[int]] = []
+    for log in logs:
+        if runs and runs[-1][-1] == log.id - 1:
+            runs[-1].append(log.id)
+        else:
+            runs.append([log.id])
+    return "there are " + ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
 
 
 def newest(logs: Sequence[LogEntry], autopilot: AutopilotKind) -> LogEntry:
-    """The newest log. ArduPilot numbers logs in order of time, independent of its clock; PX4 in order of its folders."""
+    """The newest log with content: a number whose file is missing has size 0. Raises NoSuchLogError without any.
+
+    ArduPilot numbers logs in order of time, independent of its clock; PX4 in order of its folders.
+    """
+    filled = [log for log in logs if log.size_bytes]
+    if not filled:
+        raise NoSuchLogError("all logs are empty")
     if DIALECTS[autopilot].LOGS.numbered_by_time:
-        return logs[-1]
-    return max(logs, key=lambda log: (log.date_utc.timestamp() if log.date_utc else 0.0, log.id))
+        return filled[-1]
+    return max(filled, key=lambda log: (log.date_utc.timestamp() if log.date_utc else 0.0, log.id))
 
 
 def file_name(vehicle_id: int, log: LogEntry, autopilot: AutopilotKind) -> Path:
@@ -181,7 +189,8 @@ class LogSession(Bench):
         self._heard_s = 0.0
         self._known = asyncio.Event()
         self._text = ""
-        self._logs: FlightLogs | None = None  # once it answers
+        self._logs = FlightLogs(config.vehicle.id, self.link.relay)
+        self.listeners.append(self._logs.receive)
 
     def jobs(self) -> tuple[Coroutine[None, None, None], ...]:
         """Background jobs until cancelled. Telemetry is not requested: it would slow the downloads."""
@@ -197,14 +206,12 @@ class LogSession(Bench):
                     self._text = sample.text
             await asyncio.sleep(LISTEN_PERIOD_S)
 
-    async def connected(self, system: Any) -> None:
+    async def connected(self, system: Any) -> None:  # noqa: ARG002 -- no plugin of mavsdk is needed
         """Waits until its type is known."""
-        self._logs = FlightLogs(system)
         await self._known.wait()
 
     async def entries(self) -> tuple[LogEntry, ...]:
         """The list, with at least one log. Raises FlightLogsError."""
-        assert self._logs is not None
         if self._armed:
             raise FlightLogsError(ARMED)
         try:
@@ -226,7 +233,7 @@ class LogSession(Bench):
         while DIALECTS[self.autopilot].LOGS.ends_when_read and time.monotonic() < give_up_s:
             await asyncio.sleep(LOOK_AGAIN_S)
             before, listed = listed, await self.entries()
-            if (before[-1].id, before[-1].size_bytes) == (listed[-1].id, listed[-1].size_bytes):
+            if [(log.id, log.size_bytes) for log in before] == [(log.id, log.size_bytes) for log in listed]:
                 break
         return listed
 
@@ -245,7 +252,6 @@ class LogSession(Bench):
 
     async def _download(self, entry: LogEntry, file: Path) -> None:
         """Download to a temporary name, then rename. Raises FlightLogsError and OSError."""
-        assert self._logs is not None
         meter = Meter(entry)
         part = file.with_name(f"{file.name}.part")
         part.unlink(missing_ok=True)
@@ -269,8 +275,7 @@ class LogSession(Bench):
         return f'; the autopilot reports "{self._text}"' if self._text else ""
 
     def close(self) -> None:
-        if self._logs:
-            self._logs.close()
+        self._logs.close()
         super().close()
 
 

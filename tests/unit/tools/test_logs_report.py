@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.link.bench import FlightLogsError, LogEntry
+from companion.link.flight_logs import FlightLogsError, LogEntry
 from companion.tools.logs import NoSuchLogError, choose, file_name, give_name, progress_text, size_text
 from companion.types.autopilot import AutopilotKind
 
@@ -62,3 +62,13 @@ def test_file_is_renamed_only_when_complete(tmp_path: Path) -> None:
     give_name(part, file, size_bytes=3)
     assert file.read_bytes() == b"123"
     assert not part.exists()
+
+
+@pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
+def test_last_log_is_the_newest_with_content(autopilot: AutopilotKind) -> None:
+    logs = (LogEntry(248, at(10), 100), LogEntry(250, at(20), 200), LogEntry(251, at(30), 0), LogEntry(252, None, 0))
+    assert choose(logs, ("last",), autopilot) == (logs[1],)
+    with pytest.raises(NoSuchLogError, match=r"^no log 249; there are 248, 250 to 252$"):
+        choose(logs, (249,), autopilot)
+    with pytest.raises(NoSuchLogError, match=r"^all logs are empty$"):
+        choose(logs[2:], ("last",), autopilot)
