@@ -156,13 +156,30 @@ def test_sigterm_on_the_ground_stops_all_processes(launch: Callable[[], Flight])
     assert not any(flight.armed_at_the_end(vehicle_id) for vehicle_id in IDS)
 
 
-@fleet
-def test_killing_the_parent_leaves_no_process(launch: Callable[[], Flight]) -> None:
-    flight = launch()
+def kill_the_parent(flight: Flight) -> None:
     flight.wait_for_formation()
     flight.process.kill()
     flight.end(5.0)
-    flight.wait_until(lambda: not processes(flight.marker), 10.0)
+    flight.wait_until(lambda: not processes(flight.marker), 5.0)
+
+
+@fleet
+def test_killing_the_parent_leaves_no_process(launch: Callable[[], Flight]) -> None:
+    kill_the_parent(launch())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("attempt", range(20))
+def test_killing_the_parent_leaves_no_process_in_twenty_tries(launch: Callable[[], Flight], attempt: int) -> None:
+    """Every other one beside a busy loop on each core."""
+    cores = os.cpu_count() or 1
+    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(cores * (attempt % 2))]
+    try:
+        kill_the_parent(launch())
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
 
 
 @fleet

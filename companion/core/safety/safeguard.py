@@ -60,6 +60,8 @@ LATE_TICK_S, LATE_FOR_S = limit_of(Code.TICK_LATE), BY_CONDITION[Code.TICK_LATE]
 MODE_SURE_S = 0.2  # so old may the mode be where the agent, without other telemetry, still requests another
 
 STOPPING = Notice(Code.AGENT_STOPPING, "this agent is stopping")
+AUTOPILOT_GONE_S = 1.5  # a link that fails for a moment is no autopilot that has ended
+AUTOPILOT_GONE = Notice(Code.HAND_OVER_FAILED, "this agent is stopping, and its autopilot sends nothing any more")
 NOT_TAKEN_OVER = Notice(Code.HAND_OVER_FAILED, "this agent is stopping, and the autopilot does not take over")
 
 
@@ -113,7 +115,7 @@ class SafeguardStage:
             active = self._watch.update(now_s, flight.phase, flags, commanded)
         requests: list[PhaseRequest] = []
         if inbox.stopping:
-            requests += self._stop(now_s, flight)
+            requests += self._stop(now_s, vehicle, flight)
         if flight.streams and now_s - last_setpoint_s > SILENT_TOO_LONG_S:
             requests += self._end_silent_formation(now_s, vehicle, flight, active)
         elif active.action in PHASE_CHANGES:
@@ -123,10 +125,13 @@ class SafeguardStage:
         events = tuple([named_notice(flag, separation) for flag in active.warnings])
         return Safety(frozenset(flags), active.action, tuple(requests), events)
 
-    def _stop(self, now_s: float, flight: Flight) -> list[PhaseRequest]:
-        """Hand over, and give up where the autopilot does not take over in time."""
+    def _stop(self, now_s: float, vehicle: VehicleState, flight: Flight) -> list[PhaseRequest]:
+        """Hand over, and give up where the autopilot does not take over in time, or sends nothing any more."""
         if self._stopping_s is None:
             self._stopping_s = now_s
+        heard_s = max(vehicle.attitude_time_s, vehicle.mode_time_s, vehicle.heartbeat_time_s)
+        if now_s - max(heard_s, self._stopping_s) > AUTOPILOT_GONE_S and not flight.has_handed_over:
+            return [PhaseRequest(PhaseChange.ABANDON, AUTOPILOT_GONE)]
         if now_s - self._stopping_s > HAND_OVER_S and not flight.has_handed_over:
             return [PhaseRequest(PhaseChange.ABANDON, NOT_TAKEN_OVER)]
         return [PhaseRequest(PhaseChange.HAND_OVER, STOPPING)]

@@ -27,6 +27,10 @@ GIVEN_IN = {
     C.RETURN: P.HOLD,
     C.ABORT: P.FORMATION,
 }
+TELEMETRY = (
+    *("ATTITUDE_QUATERNION", "EXTENDED_SYS_STATE", "SYS_STATUS", "CURRENT_MODE", "HEARTBEAT", "LOCAL_POSITION_NED"),
+    *("COMMAND_ACK",),
+)
 OF_THE_FLEET = {F.LEADER_AWAITED, F.LEADER_LOST, F.FLEET_LINK_LOST, F.SEPARATION_VIOLATED, F.NOT_SHAKEN_OFF}
 REFUSES: dict[CommandName, set[HealthFlag]] = {
     C.PREPARE: set(F) - OF_THE_FLEET,
@@ -106,6 +110,18 @@ def test_a_stopping_agent_leaves_a_vehicle_alone_that_it_does_not_fly(kind: Auto
     assert flight.agent.phase is phase
     assert flight.agent.has_handed_over
     assert (len(flight.autopilot.commands), len(flight.autopilot.targets)) == (commands, targets)
+
+
+@BOTH
+def test_a_stopping_agent_whose_autopilot_has_ended_does_not_wait_for_it(kind: AutopilotKind) -> None:
+    flight = FlightOnBytes(kind).fly_to(P.FORMATION)
+    flight.stopping = True
+    flight.autopilot.withheld = TELEMETRY
+    flight.ticks(1.3)  # it may be the link
+    assert not flight.agent.has_handed_over
+    flight.ticks(0.5)
+    assert flight.agent.has_handed_over
+    assert flight.events[-1].code is Code.HAND_OVER_FAILED
 
 
 @BOTH
