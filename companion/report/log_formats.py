@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from math import cos, radians
 from pathlib import Path
@@ -18,11 +18,15 @@ from pyulog.exceptions import ULogException
 from companion.geometry.frames import wrap_degrees
 from companion.report.autopilot_logs import AutopilotLog, LogError, LogMessage, Series
 from companion.report.flight import Floats
+from companion.report.px4_failsafes import EVENT, FLAGS, STATUS, TopicRows, failsafes_of, is_told_by
 
-DATAFLASH_TYPES = ("POS", "XKF1", "BAT", "VIBE", "GPS", "GPA", "MSG", "ERR")
+FILTERS = (("XKF1", "XKF4"), ("NKF1", "NKF4"))  # of each EKF: its motion, and which of its cores is the primary one
+DATAFLASH_TYPES = ("POS", *(name for pair in FILTERS for name in pair), "BAT", "VIBE", "GPS", "GPA", "MSG", "ERR")
 DATAFLASH_VIBRATION_M_S2 = 30.0  # limit for the VIBE message
 METRES_PER_DEGREE = 111_319.5
-FIRST_ONLY = {"XKF1": "C", "BAT": "Inst", "VIBE": "IMU", "GPS": "I", "GPA": "I"}  # field that counts instances
+# The field that counts the instances of a type, where the log does not say which (FMTU): by its names in all versions.
+INSTANCES = {"BAT": ("Inst", "Instance"), "VIBE": ("IMU", "I"), "GPS": ("I", "Inst"), "GPA": ("I", "Inst")}
+VELOCITY_OVER_S = 0.2  # POS counts in centimetres, up to 50 times a second
 # Subsystems of ERR that are failsafes; a code of 0 is their end.
 FAILSAFES = {
     5: "radio control",
@@ -47,7 +51,9 @@ ULOG_TOPICS = (
     "vehicle_imu_status",
     "sensor_gps",
     "vehicle_gps_position",
-    "vehicle_status",
+    STATUS,
+    EVENT,
+    FLAGS,
 )
 SEVERE = frozenset({"EMERGENCY", "ALERT", "CRITICAL", "ERROR", "WARNING"})
 ULOG_VIBRATION_M_S2 = 9.81  # limit for accel_vibration_metric
@@ -57,7 +63,7 @@ Rows = dict[str, list[Any]]
 def read_dataflash(path: Path) -> AutopilotLog:
     """Raises LogError."""
     rows = _rows(path)
-    velocity = _by_filter(rows) or _by_position(rows)
+    velocity = _by_position(rows) or _by_filters(rows)
     if velocity is None:
         raise LogError("it has neither POS nor XKF1")
     altitude_m, velocity_enu_m_s = velocity
@@ -82,12 +88,23 @@ def _rows(path: Path) -> Rows:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # the library prints what it skips
             log = DFReader.DFReader_binary(str(path), zero_time_base=True)
             while (row := log.recv_match(type=list(DATAFLASH_TYPES))) is not None:
-                name = row.get_type()
-                if getattr(row, FIRST_ONLY.get(name, ""), 0) == 0:
-                    rows[name].append(row)
+                rows[row.get_type()].append(row)
     except DAMAGED as error:
         raise LogError(f"not a DataFlash log that can be read: {str(error) or type(error).__name__}") from error
-    return rows
+    return rows | {name: _of_first_instance(rows[name], fields) for name, fields in INSTANCES.items()}
+
+
+def _of_first_instance(rows: list[Any], fields: Sequence[str]) -> list[Any]:
+    """Those of the instance with the smallest number: a vehicle may have its second battery monitor alone."""
+    instances = [_instance(row, fields) for row in rows]
+    first = min(instances, default=0)
+    return [row for row, instance in zip(rows, instances, strict=True) if instance == first]
+
+
+def _instance(row: Any, fields: Sequence[str]) -> int:
+    """0 where this version counts none."""
+    field = row.fmt.instance_field or next((name for name in fields if name in row.fmt.columns), None)
+    return int(getattr(row, field)) if field else 0
 
 
 def _row_series(rows: Rows, name: str, value_of: Callable[[Any], float]) -> Series:
@@ -103,17 +120,30 @@ def _row_times_s(rows: list[Any]) -> Floats:
     return np.array([row.TimeUS for row in rows], dtype=np.float64) / 1e6
 
 
-def _by_filter(rows: Rows) -> tuple[Series, Floats] | None:
-    """(altitude, velocity) of the EKF's first core."""
-    found = rows["XKF1"]
-    if len(found) < 2:
-        return None
-    velocity = np.array([(row.VE, row.VN, -row.VD) for row in found], dtype=np.float64)
-    return Series(_row_times_s(found), -np.array([row.PD for row in found], dtype=np.float64)), velocity
+def _by_filters(rows: Rows) -> tuple[Series, Floats] | None:
+    """(altitude, velocity) of the EKF's core that was the primary one at each time, where the log says; else of its first."""
+    for motion, lanes in FILTERS:
+        found = _of_primary_core(rows[motion], rows[lanes])
+        if len(found) < 2:
+            found = _of_first_instance(rows[motion], ("C",))
+        if len(found) >= 2:
+            velocity = np.array([(row.VE, row.VN, -row.VD) for row in found], dtype=np.float64)
+            return Series(_row_times_s(found), -np.array([row.PD for row in found], dtype=np.float64)), velocity
+    return None
+
+
+def _of_primary_core(motion: list[Any], lanes: list[Any]) -> list[Any]:
+    """Those rows of the motion whose core flew, by the newest PI before them. A lane switch is a change from core to core."""
+    lanes = [row for row in lanes if "PI" in row.fmt.columns]
+    if not lanes or not motion:
+        return []
+    newest = np.searchsorted(_row_times_s(lanes), _row_times_s(motion), side="right") - 1
+    primary = [int(lanes[max(int(at), 0)].PI) for at in newest]
+    return [row for row, core in zip(motion, primary, strict=True) if _instance(row, ("C",)) == core]
 
 
 def _by_position(rows: Rows) -> tuple[Series, Floats] | None:
-    """(altitude, velocity) from the positions: their differences."""
+    """(altitude, velocity) from the positions that were flown by, whatever estimated them: their differences."""
     found = rows["POS"]
     if len(found) < 3:
         return None
@@ -129,8 +159,9 @@ def _by_position(rows: Rows) -> tuple[Series, Floats] | None:
     rising, first = np.unique(time_s, return_index=True)
     if rising.size < 3:
         return None
-    velocity = np.gradient(position[first], rising, axis=0)
-    return Series(rising, position[first, 2]), velocity
+    begins_s, ends_s = (np.clip(rising + side * VELOCITY_OVER_S / 2.0, rising[0], rising[-1]) for side in (-1.0, 1.0))
+    moved = [np.interp(ends_s, rising, column) - np.interp(begins_s, rising, column) for column in position[first].T]
+    return Series(rising, position[first, 2]), np.stack(moved, axis=1) / (ends_s - begins_s)[:, np.newaxis]
 
 
 def _messages(rows: Rows) -> list[LogMessage]:
@@ -154,6 +185,8 @@ def read_ulog(path: Path) -> AutopilotLog:
     position = _topic(log, "vehicle_local_position")
     if position is None:
         raise LogError("it has no vehicle_local_position")
+    failsafes = _failsafes(log)
+    told_s = [one.time_s for one in failsafes]
     gps = "sensor_gps" if _topic(log, "sensor_gps") is not None else "vehicle_gps_position"
     return AutopilotLog(
         name=path.name,
@@ -165,7 +198,7 @@ def read_ulog(path: Path) -> AutopilotLog:
         vibration_limit_m_s2=ULOG_VIBRATION_M_S2,
         satellites=_topic_series(log, gps, "satellites_used"),
         position_error_m=_topic_series(log, gps, "eph"),
-        messages=(*_failsafes(log), *_logged(log)),
+        messages=(*failsafes, *(one for one in _logged(log) if not is_told_by(one.time_s, one.text, told_s))),
     )
 
 
@@ -193,14 +226,17 @@ def _topic_series(log: ULog, topic_name: str, field: str) -> Series:
 
 
 def _failsafes(log: ULog) -> list[LogMessage]:
-    """When the autopilot's failsafe began."""
-    status = _topic(log, "vehicle_status")
-    if status is None or "failsafe" not in status.data:
-        return []
-    active = _column(status, "failsafe") > 0.0
-    begins = np.flatnonzero(active & ~np.concatenate(([False], active[:-1])))
-    time_s = _topic_times_s(status)
-    return [LogMessage(float(time_s[row]), "vehicle_status.failsafe", failsafe=True, severe=True) for row in begins]
+    """When the autopilot's failsafe began, with its cause and its action."""
+    tables = {}
+    for name in (STATUS, EVENT, FLAGS):
+        if (topic := _topic(log, name)) is not None:
+            order = np.argsort(_topic_times_s(topic), kind="stable")
+            columns = {field: np.asarray(values)[order] for field, values in topic.data.items() if field != "timestamp"}
+            tables[name] = TopicRows(_topic_times_s(topic)[order], columns)
+    return [
+        LogMessage(failsafe.time_s, str(failsafe), failsafe=True, severe=True)
+        for failsafe in failsafes_of(tables.get(STATUS), tables.get(EVENT), tables.get(FLAGS))
+    ]
 
 
 def _logged(log: ULog) -> list[LogMessage]:

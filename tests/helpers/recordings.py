@@ -173,6 +173,9 @@ class LoggedFaults:
     satellites: Callable[[float], int] = lambda _time_s: 14
     failsafe: Callable[[float], bool] = lambda _time_s: False
     messages: Sequence[tuple[float, int, str]] = ()  # with the level of syslog; of PX4
+    nav_state: int = 14  # of PX4, while its failsafe acts
+    events: Sequence[tuple[float, int, int, bytes]] = ()  # of PX4: time, id, log levels, arguments
+    flags: Callable[[float], tuple[bool, int]] | None = None  # of PX4: manual_control_signal_lost, battery_warning
 
 
 WELL = LoggedFaults()
@@ -185,7 +188,13 @@ def write_ulog(path: Path, start: StartRecords, faults: LoggedFaults = WELL) -> 
         ("battery_status", "uint64_t timestamp;float voltage_v;"),
         ("vehicle_imu_status", "uint64_t timestamp;float accel_vibration_metric;"),
         ("sensor_gps", "uint64_t timestamp;float eph;float epv;uint8_t satellites_used;"),
-        ("vehicle_status", "uint64_t timestamp;bool failsafe;"),
+        ("vehicle_status", "uint64_t timestamp;bool failsafe;uint8_t nav_state;"),
+        ("event", "uint64_t timestamp;uint32_t id;uint16_t event_sequence;uint8_t[25] arguments;uint8_t log_levels;"),
+        (
+            "failsafe_flags",
+            "uint64_t timestamp;uint32_t mode_req_attitude;bool auto_mission_missing;bool manual_control_signal_lost;"
+            "uint8_t battery_warning;",
+        ),
     )
     parts = [MAGIC, struct.pack("<Q", round(AT_S * 1e6)), _ulog("B", bytes(40))]
     parts += [_ulog("F", f"{name}:{fields}".encode()) for name, fields in topics]
@@ -198,27 +207,50 @@ def write_ulog(path: Path, start: StartRecords, faults: LoggedFaults = WELL) -> 
             struct.pack("<HQf", 1, time_us, 16.4 - 0.01 * time_s),
             struct.pack("<HQf", 2, time_us, faults.vibration_m_s2(time_s)),
             struct.pack("<HQffB", 3, time_us, 0.8, 1.2, faults.satellites(time_s)),
-            struct.pack("<HQ?", 4, time_us, faults.failsafe(time_s)),
+            struct.pack(
+                "<HQ?B", 4, time_us, faults.failsafe(time_s), faults.nav_state if faults.failsafe(time_s) else 14
+            ),
         )
         parts += [_ulog("D", row) for row in rows]
+        if faults.flags is not None:
+            parts.append(_ulog("D", struct.pack("<HQI??B", 6, time_us, 6, True, *faults.flags(time_s))))
+    for number, (time_s, id_, levels, arguments) in enumerate(faults.events):
+        head = struct.pack("<HQIH", 5, round((time_s + AT_S) * 1e6), id_, number)
+        parts.append(_ulog("D", head + arguments.ljust(25, b"\0") + bytes([levels])))
     for time_s, level, text in faults.messages:
         parts.append(_ulog("L", struct.pack("<BQ", ord(str(level)), round((time_s + AT_S) * 1e6)) + text.encode()))
     path.write_bytes(b"".join(parts))
     return path
 
 
+@dataclass(frozen=True, kw_only=True)
+class DataflashNames:
+    """What differs between versions and settings. `primary`: of the EKF's two cores, by time; the other one is lost."""
+
+    instance: str = "Inst"  # of BAT
+    filter: str = "XKF"
+    position: bool = True  # POS is logged
+    primary: Callable[[float], int] | None = None
+
+
 def write_dataflash(
-    path: Path, start: StartRecords, faults: LoggedFaults = WELL, origin_longitude_deg: float = LONGITUDE_DEG
+    path: Path,
+    start: StartRecords,
+    faults: LoggedFaults = WELL,
+    origin_longitude_deg: float = LONGITUDE_DEG,
+    names: DataflashNames = DataflashNames(),
 ) -> Path:
-    """What ArduPilot logs of this start."""
+    """What ArduPilot logs of this start. Its second battery has 5 V."""
     formats = (
         (128, "FMT", "<BB4s16s64s", "BBnNZ", "Type,Length,Name,Format,Columns"),
         (1, "POS", "<Qiiff", "QLLff", "TimeUS,Lat,Lng,Alt,RelHomeAlt"),
-        (2, "BAT", "<QBf", "QBf", "TimeUS,Inst,Volt"),
+        (2, "BAT", "<QBf", "QBf", f"TimeUS,{names.instance},Volt"),
         (3, "VIBE", "<QBfff", "QBfff", "TimeUS,IMU,VibeX,VibeY,VibeZ"),
         (4, "GPS", "<QBB", "QBB", "TimeUS,I,NSats"),
         (5, "ERR", "<QBB", "QBB", "TimeUS,Subsys,ECode"),
         (6, "MSG", "<Q64s", "QZ", "TimeUS,Message"),
+        (7, f"{names.filter}1", "<QBffff", "QBffff", "TimeUS,C,VN,VE,VD,PD"),
+        (8, f"{names.filter}4", "<QBb", "QBb", "TimeUS,C,PI"),
     )
     packed = {name: (number, struct.Struct(fields)) for number, name, fields, _, _ in formats}
 
@@ -231,13 +263,20 @@ def write_dataflash(
         for number, name, fields, form, columns in formats
     ]
     was_failsafe = False
-    for time_s, (x, y, z), _ in _motion(start):
+    for time_s, (x, y, z), (vx, vy, vz) in _motion(start):
         time_us = round((time_s + AT_S) * 1e6)
         latitude_deg = LATITUDE_DEG + y * DEGREES_PER_METRE
         longitude_deg = wrap_degrees(origin_longitude_deg + x * DEGREES_PER_METRE / cos(radians(LATITUDE_DEG)))
         vibration, failsafe = faults.vibration_m_s2(time_s), faults.failsafe(time_s)
+        if names.position:
+            parts.append(message("POS", time_us, round(latitude_deg * 1e7), round(longitude_deg * 1e7), 488.0 + z, z))
+        if names.primary is not None:
+            primary = names.primary(time_s)
+            parts.append(message(f"{names.filter}4", time_us, 0, primary))
+            parts.append(message(f"{names.filter}1", time_us, primary, vy, vx, -vz, -z))
+            parts.append(message(f"{names.filter}1", time_us, 1 - primary, 0.3 * time_s, -9.0, 2.0, 50.0))
         parts += [
-            message("POS", time_us, round(latitude_deg * 1e7), round(longitude_deg * 1e7), 488.0 + z, z),
+            message("BAT", time_us, 1, 5.0),
             message("BAT", time_us, 0, 16.4 - 0.01 * time_s),
             message("VIBE", time_us, 0, vibration, vibration, vibration),
             message("GPS", time_us, 0, faults.satellites(time_s)),

@@ -14,7 +14,7 @@ from companion.report.summary import judge
 from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code
 from made_flights import flight_of, records_of
-from recordings import AT_S, LoggedFaults, write_dataflash, write_ulog
+from recordings import AT_S, DataflashNames, LoggedFaults, write_dataflash, write_ulog
 from sitl.autopilots.autopilot import DT_S
 from sitl.autopilots.types import AUTOPILOT_TYPES
 from sitl.vehicle.config import AutopilotFile, StandIn
@@ -70,6 +70,89 @@ def test_what_the_autopilot_did_by_itself_is_found(suffix: str, starts: list[Sta
         (WARNING, Code.VIBRATION_HIGH, 20),
         (WARNING, Code.GPS_POOR, 30),
     ]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        DataflashNames(primary=lambda time_s: int(time_s > 30.0)),
+        DataflashNames(primary=lambda time_s: int(time_s > 30.0), position=False),
+        DataflashNames(primary=lambda _: 1, position=False),
+        DataflashNames(primary=lambda time_s: int(20.0 < time_s < 40.0), position=False, filter="NKF"),
+    ],
+    ids=["POS beside it", "lane switch", "the second core", "EKF2, there and back"],
+)
+def test_a_log_is_matched_by_the_core_that_was_flown(
+    names: DataflashNames, starts: list[StartRecords], tmp_path: Path
+) -> None:
+    found = match(read_log(write_dataflash(tmp_path / "vehicle-2_a.bin", starts[1], names=names)), flight_of(starts))
+    assert found is not None
+    assert found.vehicle_id == 2
+    assert found.offset_s == pytest.approx(-AT_S, abs=0.06)
+    assert found.agreement > 0.95
+
+
+@pytest.mark.parametrize("instance", ["Inst", "Instance"])
+def test_the_first_battery_counts_by_the_names_of_all_versions(
+    instance: str, starts: list[StartRecords], tmp_path: Path
+) -> None:
+    log = read_log(write_dataflash(tmp_path / "a.bin", starts[0], names=DataflashNames(instance=instance)))
+    assert log.voltage_v.values.min() > 15.0
+
+
+ENTER, ENTER_HOLD, GENERIC, OF_ANOTHER_VERSION = 0x0194CA8A, 0x01D11DF6, 0x01DEDBD0, 0x01AB1234
+
+
+@pytest.mark.parametrize(
+    ("logged", "text"),
+    [
+        (
+            {"events": ((40.0, ENTER, 0x42, b"\0\0\0\0\x06\x02"),)},
+            "failsafe: GCS connection loss; action: return",
+        ),
+        (
+            {"events": ((40.0, ENTER_HOLD, 0x42, b"\0\0\0\0\x07\x05\0\x03"),), "nav_state": 4},
+            "failsafe: low battery level; action: hold",
+        ),
+        (
+            {
+                "events": ((40.0, GENERIC, 0x42, b"\0\0\0\0\x07"),),
+                "flags": lambda time_s: (time_s > 36.0, 0),
+            },
+            "failsafe: manual control signal lost; action: land",
+        ),
+        (
+            {"events": ((40.0, OF_ANOTHER_VERSION, 0x42, b"\0\0\0\0\x07\x01"),), "nav_state": 5},
+            "failsafe: manual control loss; action: return",
+        ),
+        (
+            {"flags": lambda time_s: (True, 2 if time_s > 39.5 else 1), "nav_state": 18},
+            "failsafe: critical battery level; action: land",
+        ),
+        ({"flags": lambda _: (True, 0), "nav_state": 5}, "failsafe: no cause logged; action: return"),
+        (
+            {"events": ((40.0, OF_ANOTHER_VERSION, 0x64, b"\0\0\0\0\x07\x01"), (40.0, ENTER, 0x42, b"\xff" * 25))},
+            "failsafe (vehicle_status.failsafe); the log says neither cause nor action",
+        ),
+    ],
+)
+def test_cause_and_action_of_a_px4_failsafe_are_named(
+    logged: dict[str, object], text: str, starts: list[StartRecords], tmp_path: Path
+) -> None:
+    messages = ((40.0, 2, "[commander] Failsafe activated\t"),)
+    faults = LoggedFaults(failsafe=lambda time_s: 40.0 <= time_s < 42.0, messages=messages, **logged)  # type: ignore[arg-type]
+    path = write_ulog(tmp_path / "vehicle-1_a.ulg", starts[0], faults)
+    flight = flight_of(starts)
+    findings = judge(flight, read_logs([path], flight)).summary.findings
+    assert [(one.code, round(one.time_s), one.text) for one in findings] == [(Code.AUTOPILOT_FAILSAFE, 40, text)]
+
+
+def test_a_failsafe_of_a_log_without_status_is_that_of_its_event(starts: list[StartRecords], tmp_path: Path) -> None:
+    path = write_ulog(
+        tmp_path / "vehicle-1_a.ulg", starts[0], LoggedFaults(events=((40.0, ENTER, 0x42, b"\0\0\0\0\x08\x04"),))
+    )
+    (message,) = read_log(path).messages
+    assert message.text == "failsafe: critical battery level; action: descend"
 
 
 def test_a_repeated_warning_is_one_finding_and_those_on_the_ground_are_none(
