@@ -78,7 +78,7 @@ class Agent:
     def decide(self, now_s: float, inbox: Inbox) -> Decision:
         """Telemetry -> state -> peers, PrC and weights -> acceleration -> attitude -> output limits."""
         last, last_guidance = self._flight, self._last_guidance
-        perception = self.perception.step(now_s, inbox.telemetry, last)
+        perception = self.perception.step(now_s, inbox.telemetry, last, self.preflight.returns_elsewhere)
         vehicle = perception.vehicle
         fitness = self.preflight.step(now_s, inbox.telemetry, vehicle.autopilot)
         before = self.phases.observe(now_s, vehicle)

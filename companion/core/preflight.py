@@ -6,7 +6,7 @@ The agent never sets a parameter. `companion doctor` does, on the ground and aft
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import inf
 
 from msgspec import Struct
@@ -41,7 +41,8 @@ TRIES = 8  # an autopilot does not answer for a parameter that it lacks
 class Fitness(Struct, frozen=True, gc=False):
     """Result of the audit: `refusal` of a flight in formation, and what a vehicle on the ground lacks for it.
 
-    `warnings` are the findings with which it may fly. `events` report the findings once.
+    `warnings` are the findings with which it may fly. `events` report the findings once. `returns_elsewhere` is why the
+    autopilot's return may not end at its home, "" where it does.
     """
 
     refusal: Notice | None
@@ -49,6 +50,7 @@ class Fitness(Struct, frozen=True, gc=False):
     battery_percent: float | None
     warnings: tuple[Notice, ...] = ()
     events: tuple[Notice, ...] = ()
+    returns_elsewhere: str = ""
 
 
 class Preflight:
@@ -68,6 +70,7 @@ class Preflight:
         self._values: dict[str, float] = {}
         self._asked: Counter[str] = Counter()
         self._fitness: Fitness | None = None
+        self.returns_elsewhere = AUTOPILOT_UNKNOWN.text  # why a return may not end at home, as judged last
         self._asked_s = -inf
         self._reported = False
 
@@ -87,6 +90,7 @@ class Preflight:
                     self._observer.start_from(sample.value)
         if self._fitness is None:
             self._fitness = self._judged()
+            self.returns_elsewhere = self._fitness.returns_elsewhere
         if self._reported or not self._names or self._unread():
             return self._fitness
         self._reported = True
@@ -122,12 +126,29 @@ class Preflight:
     def _judged(self) -> Fitness:
         """A parameter without an answer counts as missing."""
         if self._autopilot is None:
-            return Fitness(AUTOPILOT_UNKNOWN, (AUTOPILOT_UNKNOWN,), self.battery_percent)
+            return Fitness(
+                AUTOPILOT_UNKNOWN, (AUTOPILOT_UNKNOWN,), self.battery_percent, returns_elsewhere=AUTOPILOT_UNKNOWN.text
+            )
         findings = self._findings()
         refusals = [_notice(finding) for finding in findings if finding.verdict is Verdict.REFUSAL]
         warnings = [_notice(finding) for finding in findings if finding.verdict is Verdict.WARNING]
         refusal = Notice(Code.AUDIT_REFUSAL, "; ".join(notice.text for notice in refusals)) if refusals else None
-        return Fitness(refusal, self._lacks(refusals), self.battery_percent, () if self._unread() else tuple(warnings))
+        unread = self._unread()
+        return Fitness(
+            refusal,
+            self._lacks(refusals),
+            self.battery_percent,
+            () if unread else tuple(warnings),
+            returns_elsewhere=self._returns_elsewhere(findings, unread),
+        )
+
+    def _returns_elsewhere(self, findings: Iterable[AuditFinding], unread: Collection[str]) -> str:
+        """By the parameters that select where a return ends."""
+        assert self._profile is not None
+        deciding = {rule.name for rule in self._profile.parameters if rule.code is Code.RETURNS_ELSEWHERE}
+        if waiting := sorted(deciding.intersection(unread)):
+            return f"where it returns to is not known yet: {', '.join(waiting)} is not read"
+        return next((str(finding) for finding in findings if finding.code is Code.RETURNS_ELSEWHERE), "")
 
     def _lacks(self, refusals: list[Notice]) -> tuple[Notice, ...]:
         """What the vehicle lacks for a flight in formation, on the ground: refusals of the audit, and failing arming checks."""

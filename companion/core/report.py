@@ -130,6 +130,7 @@ class ReportStage:
             change=guidance.offered if leads else None,
             armed=vehicle.armed,
             rft=(rft.position_enu_m, rft.velocity_enu_m_s, rft.acceleration_enu_m_s2) if rft else None,
+            home_enu_m=None if vehicle.returns_elsewhere else vehicle.home_enu_m,
         )
 
     def _status(self, decided: Decision) -> Status:
@@ -186,7 +187,7 @@ class ReportStage:
                 refuses_return=self._refusal_of_return(vehicle, flight, consensus),
                 lacks=() if vehicle.armed else fitness.lacks + self._checks.lacks(vehicle, peers),
                 separation=setpoint.separation,
-                warnings=() if vehicle.armed else fitness.warnings,
+                warnings=() if vehicle.armed else fitness.warnings + self._checks.warnings(vehicle, peers),
             ),
             rejected=rejected,
             last_event=self._last_event,
@@ -197,5 +198,5 @@ class ReportStage:
         """So that the ground can ask all vehicles before it commands one."""
         if flight.phase not in RULES[CommandName.RETURN].allowed:
             return None
-        checks, homes_enu_m = self._checks, consensus.peers.ground_position_enu_m
-        return refusal_of_return(checks.own_id, checks.separation_m, vehicle, consensus.peers.packets, homes_enu_m)
+        checks = self._checks
+        return refusal_of_return(checks.own_id, checks.separation_m, vehicle, consensus.peers.packets)

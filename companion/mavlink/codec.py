@@ -117,6 +117,12 @@ class Packet(Struct, gc=False):
         return unpacker.unpack_from(data, start)
 
     @property
+    def payload(self) -> bytes:
+        """The bytes of the message, without the zeros at their end that are not sent."""
+        start = PAYLOAD_AT[self.data[0]]
+        return self.data[start : start + self.data[1]]
+
+    @property
     def fields(self) -> Any:
         """Numbers by the names of the fields, as pymavlink's message has them; for a message without arrays and texts."""
         return SimpleNamespace(

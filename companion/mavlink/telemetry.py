@@ -24,11 +24,13 @@ from companion.types.autopilot import (
     EstimatorSample,
     GlobalPositionSample,
     HeartbeatSample,
+    HomeSample,
     LandedSample,
     LandedState,
     OriginSample,
     PositionAid,
     PositionSample,
+    RallySample,
     SystemSample,
     TextSample,
 )
@@ -62,6 +64,7 @@ BEGINS_FAILSAFE = re.compile(
     r"failsafe|ekf variance|(low|critical|emergency) battery|battery \d+ is (low|critical)", re.IGNORECASE
 )
 ENDS_FAILSAFE = re.compile(r"clear|deactivat|disabled|prearm", re.IGNORECASE)
+RALLY_POINTS_ID = slice(14, 18)  # bytes of MISSION_CURRENT
 
 LANDED_STATES = {int(state): state for state in LandedState}
 
@@ -104,6 +107,19 @@ def landed(message: MavlinkMessage, received_s: float) -> LandedSample:
 def origin(message: MavlinkMessage, received_s: float) -> OriginSample:
     """GPS_GLOBAL_ORIGIN, degrees in 1e-7 (about 1 cm) and altitude in mm."""
     return OriginSample(received_s, message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
+
+
+def home(message: MavlinkMessage, received_s: float) -> HomeSample:
+    """HOME_POSITION, degrees in 1e-7."""
+    return HomeSample(received_s, message.latitude / 1e7, message.longitude / 1e7)
+
+
+def rally_points(payload: bytes, received_s: float) -> RallySample:
+    """MISSION_CURRENT, which PX4 sends once a second: the id of its rally points is their checksum, 0 without any.
+
+    It is the last of the extensions of this message that pymavlink's definition lacks; zeros at the end are not sent.
+    """
+    return RallySample(received_s, any(payload[RALLY_POINTS_ID]))
 
 
 def system(message: MavlinkMessage, received_s: float) -> SystemSample:

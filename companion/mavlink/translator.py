@@ -61,6 +61,8 @@ class Translator:
             mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: lambda p, s: (telemetry.estimator_status(p.fields, s),),
             mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_error,
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: lambda p, s: (telemetry.origin(p.fields, s),),
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION: lambda p, s: (telemetry.home(p.message, s),),
+            mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: lambda p, s: (telemetry.rally_points(p.payload, s),),
             mavlink.MAVLINK_MSG_ID_PARAM_VALUE: self._parameter,
             mavlink.MAVLINK_MSG_ID_COMMAND_ACK: self._acknowledgement,
             mavlink.MAVLINK_MSG_ID_STATUSTEXT: self._text,

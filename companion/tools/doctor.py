@@ -9,6 +9,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
+from math import dist
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from companion.assembly import check_agent, output_limits_of, tracker_of
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.preflight import WINDOW_S, Survey
-from companion.core.safety.audit import AuditFinding, Facts, PositionCheck, Verdict, audit, worst
+from companion.core.safety.audit import AuditFinding, Facts, FoundHome, PositionCheck, Verdict, audit, worst
 from companion.link.bench import LISTEN_PERIOD_S, Bench, ParameterError, Parameters
 from companion.mavlink.autopilot_types import DIALECTS, PROFILES
 from companion.tools.output import found_lines, json_text, line_printer
@@ -200,6 +201,7 @@ class DoctorSession(Bench):
             failing_checks=None if vehicle.armed else survey.failing_checks,
             position_check=self._position_check(vehicle),
             position_enu_m=vehicle.position_enu_m,
+            home=self._found_home(vehicle),
             battery_percent=-1.0 if survey.battery_percent is None else survey.battery_percent,
             mode_name=vehicle.mode_name,
             armed=vehicle.armed,
@@ -226,6 +228,13 @@ class DoctorSession(Bench):
                 PositionCheck.INSIDE if self._limits.fence.contains(vehicle.position_enu_m) else PositionCheck.OUTSIDE
             )
         return PositionCheck.UNKNOWN if vehicle.frame_known else PositionCheck.NO_ORIGIN
+
+    def _found_home(self, vehicle: VehicleState) -> FoundHome | None:
+        if vehicle.armed or vehicle.position_time_s == float("-inf"):
+            return None
+        home = vehicle.home_enu_m
+        apart_m = None if home is None else dist(home, vehicle.position_enu_m[:2])
+        return FoundHome(apart_m, self.config.fleet.separation_m, vehicle.returns_elsewhere)
 
     def close(self) -> None:
         if self.parameters:

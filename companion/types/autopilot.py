@@ -6,7 +6,7 @@ from enum import IntEnum, StrEnum
 
 from msgspec import Struct
 
-from companion.types.values import ZERO3, Finite, Vector3
+from companion.types.values import ZERO3, Finite, Place, Vector3
 
 
 class AutopilotKind(StrEnum):
@@ -79,7 +79,9 @@ class VehicleState(Struct, frozen=True, gc=False):
     landed_time_s: float = float("-inf")
     thrust_norm: float = 0.0  # as the autopilot commands it
     thrust_time_s: float = float("-inf")
-    ground_position_enu_m: Vector3 | None = None  # last disarmed position on the ground: the autopilot's home
+    ground_position_enu_m: Vector3 | None = None  # last disarmed position on the ground
+    home_enu_m: Place | None = None  # the autopilot's home, where its return ends; None where it is not reported
+    returns_elsewhere: str = ""  # why its return may end at another place
     frame_known: bool = False  # whether positions can be mapped into the fleet frame
     altitude_amsl_m: float | None = None  # relative to the autopilot's origin; None until that is known
     frame_contradicted: bool = False  # the autopilot's origin and its global position disagree
@@ -197,6 +199,21 @@ class OriginSample(Struct, frozen=True, gc=False):
     altitude_amsl_m: float
 
 
+class HomeSample(Struct, frozen=True, gc=False):
+    """HOME_POSITION: where a return ends, unless rally points or parameters say otherwise. ArduPilot's local fields are 0."""
+
+    received_s: float
+    latitude_deg: float
+    longitude_deg: float
+
+
+class RallySample(Struct, frozen=True, gc=False):
+    """MISSION_CURRENT: whether rally points are stored in the autopilot. ArduPilot has a parameter for that."""
+
+    received_s: float
+    has_rally_points: bool
+
+
 class SystemSample(Struct, frozen=True, gc=False):
     """SYS_STATUS: battery charge, -1 if unknown, whether the arming checks pass, and the health of the state estimate."""
 
@@ -263,6 +280,8 @@ Telemetry = (
     | LandedSample
     | ThrustSample
     | OriginSample
+    | HomeSample
+    | RallySample
     | SystemSample
     | ParameterSample
     | GlobalPositionSample

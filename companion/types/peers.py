@@ -9,7 +9,7 @@ from msgspec import Meta, Struct
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference, LeaderBeacon
-from companion.types.values import Number, Part, Position, Vector3
+from companion.types.values import Number, Part, Place, Position, Vector3
 
 TermSignature = Annotated[bytes, Meta(min_length=64, max_length=64)]
 """ECDSA P-256: r and s, 32 bytes each."""
@@ -60,7 +60,8 @@ class PeerPacket(Struct, frozen=True, gc=False):
 
     `change` is from a leader in formation, for vehicles that lack the change. `rft` is the state of the RFT (position,
     velocity, acceleration) by which a vehicle flies that is kept off its slot; None where its own position minus its slot
-    counts. The order of the fields is that of the bytes.
+    counts. `home_enu_m` is where its autopilot's return ends, None where that is not certain. The order of the fields is that
+    of the bytes.
     """
 
     sender: Sender
@@ -74,6 +75,7 @@ class PeerPacket(Struct, frozen=True, gc=False):
     change: FormationChange | None = None
     armed: bool = True
     rft: tuple[Vector3, Vector3, Vector3] | None = None
+    home_enu_m: Place | None = None
 
 
 class ReceivedPeerPacket(Struct, frozen=True, gc=False):

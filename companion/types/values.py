@@ -33,6 +33,7 @@ Number = Annotated[int, Meta(ge=0, le=MAX_NUMBER)]
 Finite = Annotated[float, Meta(ge=-float_info.max, le=float_info.max)]
 Coordinate = Annotated[float, Meta(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
 Position = tuple[Coordinate, Coordinate, Coordinate]
+Place = tuple[Coordinate, Coordinate]  # east and north
 FiniteVector = tuple[Finite, Finite, Finite]
 MissionTime = Annotated[float, Meta(ge=0, le=MAX_MISSION_S)]
 ChangeDuration = Annotated[float, Meta(ge=0, le=MAX_CHANGE_S)]

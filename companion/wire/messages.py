@@ -37,6 +37,7 @@ from companion.types.values import (
     FlatForm,
     MissionTime,
     Number,
+    Place,
     SlotsOfAll,
     Vector3,
     VehicleId,
@@ -216,6 +217,7 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     armed: bool
     rft: tuple[Vector3, Vector3, Vector3] | None  # position, velocity, acceleration
     term_proof: tuple[Number, TermSignature] | None
+    home_enu_m: Place | None
 
 
 _peer_decoder = msgspec.msgpack.Decoder(_PeerWire)
@@ -249,6 +251,7 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 armed=packet.armed,
                 rft=packet.rft,
                 term_proof=(proof.session, proof.signature) if proof else None,
+                home_enu_m=packet.home_enu_m,
             )
         )
     )
@@ -288,4 +291,5 @@ def decode_peer(data: bytes) -> PeerPacket:
         change=FormationChange(*change) if change else None,
         armed=wire.armed,
         rft=wire.rft,
+        home_enu_m=wire.home_enu_m,
     )

@@ -7,7 +7,7 @@ incidents of a vehicle: estimator resets, battery charges, and a pilot who takes
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from math import inf, nan
+from math import hypot, inf, nan
 from typing import Any, ClassVar, Protocol
 
 from companion.geometry.frames import enu_from_geodetic, euler_from_quaternion, geodetic_from_enu
@@ -44,9 +44,11 @@ class Incidents:
         self._resets = sorted((r for r in stand_in.estimator_resets if r.vehicle == file.id), key=lambda r: r.at_s)
         self._batteries = sorted((b for b in stand_in.batteries if b.vehicle == file.id), key=lambda b: b.at_s)
         self._flights = sorted((p for p in stand_in.pilots if p.vehicle == file.id), key=lambda p: p.at_s)
+        self._homes = sorted((h for h in stand_in.homes if h.vehicle == file.id), key=lambda h: h.at_s)
         self._refusals = [r for r in stand_in.refusals if r.vehicle == file.id]
         self._losses = sorted((p for p in stand_in.position_losses if p.vehicle == file.id), key=lambda p: p.at_s)
         self._failsafes = sorted((f for f in stand_in.failsafes if f.vehicle == file.id), key=lambda f: f.at_s)
+        self.rally_points_enu_m = [p.position_enu_m for p in stand_in.rally_points if p.vehicle == file.id]
         self.loss: PositionLoss | None = None  # under way
         self.failsafe: ReportedFailsafe | None = None  # the newest that has begun
         self.course: Course | None = None
@@ -56,6 +58,7 @@ class Incidents:
         if self.loss:
             return -inf  # its drift grows with every step
         due_s = [r.at_s for r in self._resets[:1]] + [p.at_s for p in self._flights[:1]]
+        due_s += [h.at_s for h in self._homes[:1]]
         due_s += [p.at_s for p in self._losses[:1]] + [f.at_s for f in self._failsafes[:1]]
         return min(due_s, default=inf)
 
@@ -66,6 +69,14 @@ class Incidents:
             self.next_s = self._next_s()
             return shift_enu_m
         return None
+
+    def home(self, now_s: float) -> Vector3 | None:
+        """The home that a ground station sets now, ENU in the world frame."""
+        if not self._homes or self._homes[0].at_s > now_s:
+            return None
+        home_enu_m = self._homes.pop(0).position_enu_m
+        self.next_s = self._next_s()
+        return home_enu_m
 
     def lose_position(self, now_s: float) -> None:
         """A loss of the position that is due begins or ends."""
@@ -249,6 +260,21 @@ class Autopilot(ABC):
         """Estimated latitude and longitude [deg] and altitude above sea level [m]."""
         return geodetic_from_enu(self.quad.estimated_position_local_enu_m(), self.quad.origin)
 
+    @property
+    def rally_points(self) -> list[Vector3]:
+        """Those that it has stored; latitude and longitude [deg], altitude above sea level [m]."""
+        return [geodetic_from_enu(place, self.quad.world_origin) for place in self._incidents.rally_points_enu_m]
+
+    def return_place(self) -> Vector3:
+        """Where a return ends: the nearest of home and rally points; latitude, longitude and altitude as of `home`."""
+        x, y, _ = self.quad.estimated_position_local_enu_m()
+
+        def away_m(place: Vector3) -> float:
+            east, north, _ = enu_from_geodetic(*place, self.quad.origin)
+            return hypot(east - x, north - y)
+
+        return min((self.home, *self.rally_points), key=away_m)
+
     # ------------------------------------------------------------ requests
 
     @property
@@ -311,6 +337,8 @@ class Autopilot(ABC):
         """Estimator resets that are due, and a pilot who takes over."""
         while (shift_enu_m := self._incidents.reset(self.time_s)) is not None:
             self.reset_estimator(shift_enu_m)
+        if (home_enu_m := self._incidents.home(self.time_s)) is not None:
+            self.home = geodetic_from_enu(home_enu_m, self.quad.world_origin)
         self._incidents.lose_position(self.time_s)
         if loss := self._incidents.loss:
             (x, y, z), lost_s = loss.drift_enu_m_s2, self.position_lost_s

@@ -180,8 +180,10 @@ class Receiver(ABC):
             yield self._autopilot.parameters.message(name)
 
     def _on_mission_request_list(self, message: MavlinkMessage) -> Answers:
+        rally = message.mission_type == M.MAV_MISSION_TYPE_RALLY
+        number = len(self._autopilot.rally_points) if rally else 0
         yield M.MAVLink_mission_count_message(
-            message.get_srcSystem(), message.get_srcComponent(), 0, message.mission_type
+            message.get_srcSystem(), message.get_srcComponent(), number, message.mission_type
         )
 
     def _on_mission_count(self, message: MavlinkMessage) -> Answers:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from math import atan2, degrees, hypot, nan
+from zlib import crc32
 
 from pymavlink.dialects.v20.ardupilotmega import MAVLINK_MSG_ID_EKF_STATUS_REPORT, MAVLink_ekf_status_report_message
 
@@ -20,6 +22,7 @@ from sitl.autopilots.autopilot import Autopilot
 
 M = mavlink
 BATTERY_V = 16.2
+NO_MISSION = 65535  # instead of the number of its items
 ESTIMATES = (
     M.ESTIMATOR_ATTITUDE | M.ESTIMATOR_VELOCITY_HORIZ | M.ESTIMATOR_VELOCITY_VERT | M.ESTIMATOR_POS_HORIZ_REL
     | M.ESTIMATOR_POS_HORIZ_ABS | M.ESTIMATOR_POS_VERT_ABS | M.ESTIMATOR_POS_VERT_AGL
@@ -153,6 +156,23 @@ def home_position(autopilot: Autopilot) -> MavlinkMessage | None:
     )  # fmt: skip
 
 
+class MissionCurrent(M.MAVLink_message):
+    """MISSION_CURRENT with its newest extensions, the ids of the stored plans, which pymavlink's definition lacks."""
+
+    def __init__(self, rally_points_id: int) -> None:
+        super().__init__(M.MAVLINK_MSG_ID_MISSION_CURRENT, "MISSION_CURRENT")
+        self._content = struct.pack("<HHBBIII", 0, NO_MISSION, 0, 0, 0, 0, rally_points_id)
+
+    def pack(self, mav: M.MAVLink, force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, M.mavlink_map[M.MAVLINK_MSG_ID_MISSION_CURRENT].crc_extra, self._content, force_mavlink1)
+
+
+def mission_current(autopilot: Autopilot) -> MavlinkMessage:
+    """There is no mission; the id of the rally points is a checksum of them."""
+    places = ",".join(f"{latitude:.7f} {longitude:.7f}" for latitude, longitude, _ in autopilot.rally_points)
+    return MissionCurrent(crc32(places.encode()))
+
+
 def extended_sys_state(autopilot: Autopilot) -> MavlinkMessage:
     return M.MAVLink_extended_sys_state_message(0, autopilot.landed_state)
 
@@ -232,6 +252,7 @@ BUILDERS: dict[int, Builder] = {
     M.MAVLINK_MSG_ID_GPS_RAW_INT: gps_raw,
     M.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: gps_global_origin,
     M.MAVLINK_MSG_ID_HOME_POSITION: home_position,
+    M.MAVLINK_MSG_ID_MISSION_CURRENT: mission_current,
     M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: extended_sys_state,
     M.MAVLINK_MSG_ID_SYS_STATUS: sys_status,
     M.MAVLINK_MSG_ID_BATTERY_STATUS: battery_status,

@@ -332,6 +332,8 @@ BY_VEHICLE = (
     "stand_in.refusals",
     "stand_in.position_losses",
     "stand_in.failsafes",
+    "stand_in.homes",
+    "stand_in.rally_points",
     "links.late_telemetry",
     "agent_ends",
 )

@@ -30,13 +30,14 @@ from companion.types.autopilot import (
     LandedState,
     ModeSample,
     PositionSample,
+    RallySample,
     SystemSample,
     Telemetry,
     ThrustSample,
 )
 from sitl.autopilots.autopilot import Autopilot
 from sitl.autopilots.link_end import LinkEnd
-from sitl.autopilots.messages import estimator_status, global_position, gps_raw
+from sitl.autopilots.messages import estimator_status, global_position, gps_raw, home_position
 from sitl.vehicle.config import Links
 from sitl.vehicle.control import AttitudeSetpoint
 
@@ -87,6 +88,11 @@ def _error(autopilot: Autopilot, received_s: float) -> Samples:
     return (EstimatorSample(received_s, horizontal_m, vertical_m, status.healthy, status.aid),)
 
 
+def _home(autopilot: Autopilot, received_s: float) -> Samples:
+    message = home_position(autopilot)
+    return () if message is None else (telemetry.home(message, received_s),)
+
+
 # The attitude is without the 32-bit quaternion, which changes it by less than a microradian.
 SAMPLES: dict[int, Callable[[Autopilot, float], Samples]] = {
     M.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
@@ -97,6 +103,8 @@ SAMPLES: dict[int, Callable[[Autopilot, float], Samples]] = {
     M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda own, at_s: (LandedSample(at_s, LandedState(own.landed_state)),),
     M.MAVLINK_MSG_ID_SYS_STATUS: lambda own, at_s: (SystemSample(at_s, float(own.battery_percent), own.armable),),
     M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: lambda own, at_s: (telemetry.global_position(global_position(own), at_s),),
+    M.MAVLINK_MSG_ID_HOME_POSITION: _home,
+    M.MAVLINK_MSG_ID_MISSION_CURRENT: lambda own, at_s: (RallySample(at_s, bool(own.rally_points)),),
     M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _error,
     M.MAVLINK_MSG_ID_GPS_RAW_INT: lambda own, at_s: (telemetry.gps_error(gps_raw(own), at_s),),
 }
@@ -119,7 +127,8 @@ class DirectLink:
         self._last_s = self._time_asked_s = -inf
         self._end = end
         self._schedule = end.schedule
-        self._schedule.reset(rates_hz(autopilot.kind), phase_s)
+        unasked = {M.MAVLINK_MSG_ID_MISSION_CURRENT: self._schedule.default_hz(M.MAVLINK_MSG_ID_MISSION_CURRENT)}
+        self._schedule.reset(unasked | rates_hz(autopilot.kind), phase_s)
         self._translator = Translator(autopilot.system_id, autopilot.kind)
         self._to_agent: deque[Telemetry] = deque()  # in the order of `received_s`
         self._positions_s: deque[float] = deque()  # when those among them arrive

@@ -159,6 +159,27 @@ class ReportedFailsafe(Section, frozen=True):
     text: Annotated[str, Meta(min_length=1, max_length=50)] = "Battery Failsafe"
 
 
+class HomeSet(Section, frozen=True):
+    """A ground station sets the home of one autopilot (MAV_CMD_DO_SET_HOME); arming sets it anew.
+
+    position_enu_m: the home in the world frame
+    """
+
+    vehicle: VehicleId
+    at_s: FlightTime
+    position_enu_m: PositionM
+
+
+class RallyPoint(Section, frozen=True):
+    """A rally point in the storage of one autopilot: its return ends at the nearest of these and its home.
+
+    position_enu_m: its place in the world frame
+    """
+
+    vehicle: VehicleId
+    position_enu_m: PositionM
+
+
 class ModeRefusal(Section, frozen=True):
     """Mode changes that one flying autopilot refuses, as without a position.
 
@@ -185,6 +206,8 @@ class StandIn(Section, frozen=True):
     position_losses: vehicles that lose GPS or vision
     failsafes: failsafes that autopilots report, and only warn
     clock_slow_percent: how much slower the autopilots' clocks run than this computer's: PX4's 1 to 2 %
+    homes: homes that a ground station sets
+    rally_points: rally points of autopilots
     parameters: autopilot parameters by name, for those that the stand-in has
     """
 
@@ -201,6 +224,8 @@ class StandIn(Section, frozen=True):
     position_losses: tuple[PositionLoss, ...] = ()
     failsafes: tuple[ReportedFailsafe, ...] = ()
     clock_slow_percent: Annotated[float, Meta(ge=-5, le=5)] = 0.0
+    homes: tuple[HomeSet, ...] = ()
+    rally_points: tuple[RallyPoint, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
 
     def sensor_model(self) -> Sensors:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import cos, sin
 
+from companion.geometry.frames import geodetic_from_enu
 from companion.types.autopilot import (
     Arm,
     AttitudeSample,
@@ -14,6 +15,7 @@ from companion.types.autopilot import (
     AutopilotRequest,
     Disarm,
     HeartbeatSample,
+    HomeSample,
     LandedSample,
     LandedState,
     ModeSample,
@@ -43,6 +45,7 @@ PARAMETERS: Mapping[str, int | float] = {  # of a PX4 that the audit accepts
     "GF_ACTION": 2,
     "GF_MAX_HOR_DIST": 100.0,
     "GF_MAX_VER_DIST": 50.0,
+    "RTL_TYPE": 0,
     "MPC_THR_HOVER": HOVER_THRUST_NORM,
 }
 
@@ -55,6 +58,7 @@ class Plant:
         self.mode, self.armed, self.landed = AutopilotMode.HOLD, False, LandedState.ON_GROUND
         self._ground_m, self._goal_m = position_enu_m[2], position_enu_m[2]
         self._attitude = AttitudeTarget(0.0, 0.0, 0.0, HOVER_THRUST_NORM)
+        self._home = _geodetic(position_enu_m)
         self._answers: list[Telemetry] = []
         self._ticks = 0
         self._silent_ticks = 0
@@ -65,6 +69,7 @@ class Plant:
         self._ticks += 1
         if self._ticks % SYSTEM_TICKS == 2:  # an agent disregards what was sent before its first tick
             answers.append(SystemSample(now_s, 90.0, may_arm=True))
+            answers.append(HomeSample(now_s, *self._home))
         attitude = self._attitude if self._is_followed else AttitudeTarget(0.0, 0.0, 0.0, HOVER_THRUST_NORM)
         return (
             AttitudeSample(now_s, attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad),
@@ -83,6 +88,7 @@ class Plant:
                     self.mode = mode
                 case Arm():
                     self.armed = True
+                    self._home = _geodetic(self.position_enu_m)
                 case Disarm():
                     self.armed = self.armed and self.landed is not LandedState.ON_GROUND
                 case TakeOff(_, height_m):
@@ -128,6 +134,11 @@ class Plant:
         (x, y, z), (vx, vy, vz) = self.position_enu_m, velocity_enu_m_s
         self.velocity_enu_m_s = velocity_enu_m_s
         self.position_enu_m = (x + vx * TICK_S, y + vy * TICK_S, max(self._ground_m, z + vz * TICK_S))
+
+
+def _geodetic(position_enu_m: Vector3) -> tuple[float, float]:
+    latitude, longitude, _ = geodetic_from_enu(position_enu_m, ORIGIN)
+    return latitude, longitude
 
 
 def _acceleration(target: AttitudeTarget) -> Vector3:

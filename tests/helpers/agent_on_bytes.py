@@ -49,6 +49,7 @@ IN_ORDER: dict[AutopilotKind, dict[str, int | float]] = {
         "FS_GCS_ENABLE": 0,
         "FENCE_ENABLE": 1,
         "FENCE_ACTION": 1,
+        "RALLY_TOTAL": 0,
         "MOT_THST_HOVER": 0.5,
     },
 }
@@ -92,6 +93,9 @@ class AutopilotOnBytes:
             messages.append(M.MAVLink_current_mode_message(0, self.custom_mode, self.custom_mode))
         if self.kind is ARDUPILOT or self._ticks % 50 == 0:
             messages.append(self.heartbeat())
+        if self._ticks % 50 == 0:
+            at, no = (473977420, 85455940, int(ORIGIN_AMSL_M * 1000)), (0.0, 0.0, 0.0)
+            messages.append(M.MAVLink_home_position_message(*at, *no, [1.0, 0.0, 0.0, 0.0], *no))
         messages.append(M.MAVLink_local_position_ned_message(boot_ms, 0, 0, -self.up_m, self.north_m_s, 0, 0))
         self._ticks += 1
         return b"".join(self._codec.encode(m) for m in messages if m.get_type() not in self.withheld)
@@ -332,7 +336,7 @@ class FailingFlight:
             self.tick()
 
     def fly_to(self, phase: FlightPhase) -> FailingFlight:
-        self.ticks(0.2)
+        self.ticks(0.6)  # until all parameters are read
         for name in (CommandName.PREPARE, CommandName.ARM, CommandName.TAKEOFF, CommandName.FORM):
             if self.agent.phase is phase:
                 break

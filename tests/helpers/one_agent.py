@@ -16,6 +16,7 @@ from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember,
 from companion.config.reference import PointReference, Reference
 from companion.config.vehicle import AgentConfig, VehicleConfig
 from companion.core.command.phase import LEVEL_BEFORE_HAND_OVER_S, PhaseMachine
+from companion.geometry.frames import geodetic_from_enu
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import (
     Arm,
@@ -26,6 +27,7 @@ from companion.types.autopilot import (
     AutopilotRequest,
     Disarm,
     HeartbeatSample,
+    HomeSample,
     LandedSample,
     LandedState,
     ModeSample,
@@ -68,6 +70,7 @@ FLEET = FleetConfig(
     law=Law(name="weighted", velocity_correction_1_s=0.0),  # its position does not move as its velocity says
     takeoff_height_m=1.0,
 )
+ORIGIN: Vector3 = (47.0, 8.0, 400.0)  # of its autopilot
 SESSION = 7
 POINT = PointReference(point_enu_m=(1.0, 0.0, 1.0))
 
@@ -96,6 +99,7 @@ class AgentFlight:
         self.peer_position: Vector3 | None = (0.0, 0.0, 1.0)
         self.outbox = Outbox()
         self.sends_origin = True
+        self.home: Vector3 = self.position  # set anew while the vehicle is on the ground
         self.parameters = dict(PARAMETERS)
         self.battery_percent = 90.0
         self.withheld: tuple[type, ...] = ()
@@ -124,16 +128,15 @@ class AgentFlight:
     def _all_telemetry(self, t: float) -> list[Telemetry]:
         if self.position != self._put_at and all(map(isfinite, self.position)):
             self._put_at, self.boot_s = self.position, self.boot_s + 1.0
+        if self.landed is LandedState.ON_GROUND:
+            self.home = self.position
         return [
             AttitudeSample(t, self.roll_rad, 0.0, 0.3),
             ModeSample(t, self.mode, self.mode),
             HeartbeatSample(t, self.armed, AutopilotKind.PX4),
             LandedSample(t, self.landed),
-            *(
-                [OriginSample(t, 47.0, 8.0, 400.0)]
-                if RequestOrigin() in self.outbox.requests and self.sends_origin
-                else []
-            ),
+            *([OriginSample(t, *ORIGIN)] if RequestOrigin() in self.outbox.requests and self.sends_origin else []),
+            HomeSample(t, *geodetic_from_enu(self.home, ORIGIN)[:2]),
             SystemSample(t, self.battery_percent, may_arm=True),
             *(ParameterSample(t, name, self.parameters[name]) for name in self.asked() if name in self.parameters),
             PositionSample(t, t - 100.0 + self.boot_s, self.position, self.velocity),

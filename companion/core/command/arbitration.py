@@ -211,8 +211,7 @@ class CommandDispatcher:
         """(refusal, warning) of a command that is otherwise possible."""
         checks, peers = self._checks, consensus.peers.packets
         if name is CommandName.RETURN:
-            homes_enu_m = consensus.peers.ground_position_enu_m
-            return refusal_of_return(checks.own_id, checks.separation_m, vehicle, peers, homes_enu_m), None
+            return refusal_of_return(checks.own_id, checks.separation_m, vehicle, peers), None
         if name is CommandName.FORM and (refusal := _refusal_to_form(fitness, consensus, guidance)):
             return refusal, None
         refusal, warning = checks.judge(name, vehicle, guidance.slot, peers, consensus.lead.role)

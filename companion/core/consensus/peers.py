@@ -17,7 +17,7 @@ from companion.core.consensus.law import FormationState
 from companion.core.consensus.message_order import Disorder, Stream, following
 from companion.geometry.vectors import extrapolated, shortened
 from companion.types.commands import MAX_EPOCH
-from companion.types.flight import ON_GROUND, Role
+from companion.types.flight import Role
 from companion.types.formation import FlownSlot, FormationChange, Term
 from companion.types.notices import Code
 from companion.types.peers import LeaderReport, PeerPacket, ReceivedPeerPacket
@@ -240,7 +240,6 @@ class PeerTable:
         self._distant: frozenset[int] = frozenset()
         self.low_rate_s: dict[int, float] = {}  # when each of those was last distant
         self.known: dict[int, PeerState] = {}  # the newest state of each peer, of any age
-        self.ground_position_enu_m: dict[int, Vector3] = {}  # last position of each peer on the ground
         self.rejected: Counter[str] = Counter()
         self.duplicate_id_s = -inf  # when a packet of a second agent with a known id last came
 
@@ -295,8 +294,6 @@ class PeerTable:
         most_squared = most_m_s2 * most_m_s2
         if own > most_squared or of_slot > most_squared or of_rft > most_squared:
             packet = self._within_limits(packet, most_m_s2)
-        if packet.phase in ON_GROUND and before is not None and before.packet.phase in ON_GROUND:
-            self.ground_position_enu_m[vehicle_id] = motion.position_enu_m
         measured_s = received_s - stream.late_s - motion.state_age_s
         term = (beacon.epoch, -beacon.claim) if beacon is not None else (0, 0)
         self.known[vehicle_id] = PeerState(

@@ -50,7 +50,6 @@ from companion.types.flight import COOPERATING, STREAMING, Flight, FlightPhase, 
 from companion.types.formation import Heading, LeaderBeacon, Term
 from companion.types.notices import Answer, Notice
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
-from companion.types.values import Vector3
 
 # Member lookup of an enum is slow, and every tick needs these.
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION
@@ -96,7 +95,6 @@ class PeerSets(Struct, frozen=True, gc=False):
     present: Mapping[int, PeerState] = {}  # the fresh ones, and the distant ones that are in time at 5 Hz
     fresh: Mapping[int, PeerState] = {}  # received at 50 Hz and in time: law and separation filter use these
     flying: tuple[PeerPacket, ...] = ()  # the present ones in a cooperating phase
-    ground_position_enu_m: Mapping[int, Vector3] = {}  # where each peer was last on the ground
     duplicate_id_s: float = -inf  # when a packet of a second agent with a known id last came
     rejected: Mapping[str, int] = {}
 
@@ -224,7 +222,6 @@ class ConsensusStage:
             present=present,
             fresh=fresh,
             flying=tuple(flying),
-            ground_position_enu_m=dict(table.ground_position_enu_m),
             duplicate_id_s=table.duplicate_id_s,
             rejected=table.rejected,
         )

@@ -24,11 +24,13 @@ from companion.types.autopilot import (
     EstimatorSample,
     GlobalPositionSample,
     HeartbeatSample,
+    HomeSample,
     LandedSample,
     LandedState,
     ModeSample,
     OriginSample,
     PositionSample,
+    RallySample,
     RequestOrigin,
     SystemSample,
     Telemetry,
@@ -39,7 +41,7 @@ from companion.types.autopilot import (
 from companion.types.flight import COOPERATING, Flight
 from companion.types.notices import Code, Notice
 from companion.types.rejections import count_rejection
-from companion.types.values import ZERO3, Vector3
+from companion.types.values import MAX_COORDINATE_M, ZERO3, Place, Vector3
 
 ORIGIN_REPEAT_S = 1.0
 ORIGIN_REFRESH_S = 5.0  # PX4 sends a changed origin once, and that one datagram may be lost
@@ -58,6 +60,8 @@ class Perception(Struct, frozen=True, gc=False):
 MAX_LOCAL_M = 100_000.0  # the 32-bit floats of LOCAL_POSITION_NED lose centimetres well below this
 MAX_SPEED_M_S = 100.0
 REBOOT_S = 1.0  # time_boot_ms decreasing by more is a reboot, by less a reordered datagram
+HOME_KNOWN_FOR_S = 5.0  # PX4's own rate of HOME_POSITION is 0.5 Hz; one packet may be lost
+RALLY_POINTS = "rally points are stored in the autopilot, and it returns to the nearest place"
 EVENT_PERIOD_S = 1.0  # repeated jumps are reported no more often
 FAILSAFE_STAYS_S = 5.0  # HEARTBEAT comes once a second, a text once
 LATE_PERIOD_S = 5.0  # so are late positions
@@ -86,6 +90,8 @@ class VehicleTracker:
         self._accuracy = PositionAccuracy(uses_gps=fleet_origin is not None)
         self._failsafe_text = ""  # as reported last
         self._jump_s = self._late_reported_s = self._origin_asked_s = float("-inf")
+        self._home: HomeSample | None = None  # the newest, also while the frame is unknown
+        self._rally_points = ""
         self._healthy_by_status = self._healthy_by_system = True  # ESTIMATOR_STATUS, SYS_STATUS
         self.rejected: Counter[str] = Counter()
         self._events: list[Notice] = []  # raised while the current telemetry message is processed
@@ -99,19 +105,27 @@ class VehicleTracker:
             LandedSample: self._fold_landed,
             ThrustSample: self._fold_thrust,
             OriginSample: self._fold_origin,
+            HomeSample: self._fold_home,
+            RallySample: self._fold_rally_points,
             GlobalPositionSample: self._fold_global_position,
             EstimatorSample: self._fold_error,
             SystemSample: self._fold_system,
             TextSample: self._fold_text,
         }
 
-    def step(self, now_s: float, telemetry: Iterable[Telemetry], before: Flight) -> Perception:
+    def step(
+        self, now_s: float, telemetry: Iterable[Telemetry], before: Flight, returns_elsewhere: str = ""
+    ) -> Perception:
         """`before` is the flight of the last tick: only while it cooperates does a position that jumps follow slowly.
 
         At other times neither this vehicle nor a neighbour controls by the position, and the next one is used unchanged.
+        `returns_elsewhere`: why the autopilot's return may not end at its home, by its parameters; "" where it does.
         """
         if before.phase not in COOPERATING:
             self._position_reset.restart()
+        self._fields["returns_elsewhere"] = self._rally_points or returns_elsewhere
+        if self._home is not None and now_s - self._home.received_s > HOME_KNOWN_FOR_S:
+            self._home = self._fields["home_enu_m"] = None
         vehicle, events = self.fold(telemetry)
         requests: tuple[AutopilotRequest, ...] = ()
         if vehicle.autopilot is not None:
@@ -201,6 +215,7 @@ class VehicleTracker:
         self._frame.forget()
         self._accuracy.restart()
         self._position_reset.restart()
+        self._home = self._fields["home_enu_m"] = None
         if self._velocity_correction is not None:
             self._velocity_correction.restart()
         if self._follows_ground:
@@ -253,7 +268,19 @@ class VehicleTracker:
         if not self._frame.use_origin(sample):
             self.rejected = count_rejection(self.rejected, Code.ORIGIN_IMPLAUSIBLE)
             return
+        if self._home is not None:
+            self._fold_home(self._home)
         self._origin_updated(before)
+
+    def _fold_home(self, sample: HomeSample) -> None:
+        """An implausible home is unknown: the autopilot may fly there all the same."""
+        place = self._frame.place(sample.latitude_deg, sample.longitude_deg)
+        if place is None and self._frame.geodetic_origin is not None:
+            self.rejected = count_rejection(self.rejected, Code.HOME_IMPLAUSIBLE)
+        self._home, self._fields["home_enu_m"] = sample, place
+
+    def _fold_rally_points(self, sample: RallySample) -> None:
+        self._rally_points = self._fields["returns_elsewhere"] = RALLY_POINTS if sample.has_rally_points else ""
 
     def _fold_global_position(self, sample: GlobalPositionSample) -> None:
         before = self._frame.offset_enu_m
@@ -306,6 +333,7 @@ class FleetFrame:
     def __init__(self, fleet_origin: Vector3 | None) -> None:
         self._fleet_origin = fleet_origin
         self._origin_reported = False
+        self._own_origin: Vector3 | None = None
         self._offsets_enu_m: deque[Vector3] = deque(maxlen=COMPARISONS)
         self.offset_enu_m: Vector3 | None = None  # position of the autopilot's local origin in the fleet frame
         self.own_altitude_amsl_m: float | None = None  # altitude of the autopilot's local origin
@@ -314,7 +342,7 @@ class FleetFrame:
 
     def forget(self) -> None:
         """Discard the origin after a reboot of the autopilot. In a shared frame only the altitude is lost."""
-        self._origin_reported = False
+        self._origin_reported, self._own_origin = False, None
         self._offsets_enu_m.clear()
         self.own_altitude_amsl_m = None
         self.offset_enu_m = ZERO3 if self._fleet_origin is None else None
@@ -326,6 +354,7 @@ class FleetFrame:
         if not plausible or not -1000.0 < sample.altitude_amsl_m < 10_000.0:
             return False
         self.own_altitude_amsl_m = sample.altitude_amsl_m
+        self._own_origin = (sample.latitude_deg, sample.longitude_deg, sample.altitude_amsl_m)
         self._origin_reported = True
         if self._fleet_origin is not None:
             offset_m = enu_from_geodetic(
@@ -336,6 +365,20 @@ class FleetFrame:
                 self.contradicted = False
             self.offset_enu_m = offset_m
         return True
+
+    @property
+    def geodetic_origin(self) -> Vector3 | None:
+        """Where the fleet frame has its origin. In a shared frame it is the autopilot's own origin, as far as it is known."""
+        return self._own_origin if self._fleet_origin is None else self._fleet_origin
+
+    def place(self, latitude_deg: float, longitude_deg: float) -> Place | None:
+        """Metres east and north in the fleet frame; None where its origin is unknown, or the place is implausible."""
+        origin = self.geodetic_origin
+        if origin is None or not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0):
+            return None
+        east_m, north_m, _ = enu_from_geodetic(latitude_deg, longitude_deg, origin[2], origin)
+        near = abs(east_m) <= MAX_COORDINATE_M and abs(north_m) <= MAX_COORDINATE_M
+        return (east_m, north_m) if near else None
 
     def use_global_position(self, sample: GlobalPositionSample, local: PositionSample) -> bool:
         """Compare GLOBAL_POSITION_INT with `local`, the newest local position.

@@ -33,6 +33,18 @@ class PositionCheck(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class FoundHome:
+    """The autopilot's home: its distance from the vehicle in the plane, None where it is not reported.
+
+    `elsewhere`: why its return may end at another place.
+    """
+
+    apart_m: float | None
+    separation_m: float
+    elsewhere: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Facts:
     """Facts of one vehicle. None means that the caller does not check this; it gives no finding.
 
@@ -48,6 +60,7 @@ class Facts:
     failing_checks: str | None = None
     position_check: PositionCheck | None = None
     position_enu_m: Vector3 | None = None
+    home: FoundHome | None = None  # of a vehicle on the ground with a position
     battery_percent: float | None = None
     round_trip_s: float | None = None
     mode_name: str | None = None
@@ -95,6 +108,8 @@ def _findings(facts: Facts) -> Iterator[AuditFinding]:
         yield _checks(facts.failing_checks)
     if facts.position_check is not None:
         yield _position(facts.position_check, facts.position_enu_m)
+    if facts.home is not None:
+        yield _home(facts.home)
     if facts.battery_percent is not None:
         yield _battery(facts.battery_percent)
     if facts.armed is not None:
@@ -147,6 +162,22 @@ def _position(check: PositionCheck, position_enu_m: Vector3 | None) -> AuditFind
             code = Code.POSITION_MISSING
             remedy = "wait for the estimator; LOCAL_POSITION_NED starts when it has a position"
     return AuditFinding("origin", Verdict.REFUSAL, code, found, wanted, remedy)
+
+
+def _home(home: FoundHome) -> AuditFinding:
+    """A vehicle may fly without: `return` is refused, and the failsafe lands instead."""
+    wanted = f"HOME_POSITION within separation_m of the vehicle, {home.separation_m:g} m"
+    if home.elsewhere:
+        remedy = "clear the rally points, or expect `return` to be refused"
+        return AuditFinding("home", Verdict.WARNING, Code.RETURNS_ELSEWHERE, home.elsewhere, wanted, remedy)
+    if home.apart_m is None:
+        remedy = "wait for the position fix, or expect `return` to be refused"
+        return AuditFinding("home", Verdict.WARNING, Code.HOME_UNKNOWN, "not reported", wanted, remedy)
+    found = f"{home.apart_m:.1f} m from the vehicle"
+    if home.apart_m < home.separation_m:
+        return AuditFinding("home", Verdict.OK, None, found, wanted)
+    remedy = "`return` ends there; set the home to where the vehicle stands, unless arming does so"
+    return AuditFinding("home", Verdict.WARNING, Code.HOME_ELSEWHERE, found, wanted, remedy)
 
 
 def _battery(percent: float) -> AuditFinding:

@@ -7,9 +7,9 @@ multipath and not always the satellites, and none reports how much of its error 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
-from math import hypot, inf, sqrt
+from math import dist, hypot, inf, sqrt
 
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.commands import CommandName
@@ -17,7 +17,7 @@ from companion.types.flight import ON_GROUND, RULES, FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
-from companion.types.values import Vector3
+from companion.types.values import Place, Vector3
 
 FORMED = frozenset({FlightPhase.ENGAGE, FlightPhase.FORMATION})
 REFUSED_BELOW_SIGMAS = 3.0
@@ -69,6 +69,13 @@ class FleetChecks:
         """The reasons why the vehicle must not leave the ground, each with its subject first."""
         found = (self._altitudes_differ(vehicle.position_enu_m[2], peers), self._too_near(vehicle, peers))
         return tuple(filter(None, found))
+
+    def warnings(self, vehicle: VehicleState, peers: Collection[PeerPacket]) -> tuple[Notice, ...]:
+        """What a vehicle on the ground may take off with, though it will not return."""
+        shared = None
+        if vehicle.home_enu_m is not None:
+            shared = home_shared(self.own_id, self.separation_m, vehicle.home_enu_m, peers)
+        return tuple(filter(None, (home_elsewhere(self.separation_m, vehicle), shared)))
 
     def _too_near(self, vehicle: VehicleState, peers: Collection[PeerPacket]) -> Notice | None:
         """The nearest peer below separation_m in the plane, on the ground or in flight: all climb and land vertically."""
@@ -168,28 +175,26 @@ MAY_GO_HOME = RULES[CommandName.RETURN].allowed | {FlightPhase.RETURN, FlightPha
 
 ROUNDING_M = 0.001  # more than that of any distance computed here
 
-Path = tuple[tuple[float, float], tuple[float, float]]
-"""A straight path from one position to another, metres east and north."""
+Path = tuple[Place, Place]
+"""A straight path from one place to another, metres east and north."""
 
 
 def refusal_of_return(
-    own_id: int,
-    separation_m: float,
-    vehicle: VehicleState,
-    peers: Iterable[PeerPacket],
-    ground_position_enu_m: Mapping[int, Vector3],
+    own_id: int, separation_m: float, vehicle: VehicleState, peers: Collection[PeerPacket]
 ) -> Notice | None:
     """The reason why this vehicle must not return home now; None where it may.
 
-    `peers` are all fresh peers. `ground_position_enu_m` is where each was last on the ground, which is where its autopilot
-    returns to.
+    `peers` are all fresh peers. The autopilot returns to its home, which any ground station may have set.
     """
-    if vehicle.ground_position_enu_m is None:
-        text = "its home is unknown, as this agent has not seen it on the ground; land instead"
-        return Notice(Code.HOME_UNKNOWN, text)
-    own = _path(vehicle.position_enu_m, vehicle.ground_position_enu_m)
-    near = _paths_near(own, separation_m, peers, ground_position_enu_m)
-    apart_m = {vehicle_id: apart(own, path) for vehicle_id, path in near}
+    if vehicle.returns_elsewhere:
+        return Notice(Code.RETURNS_ELSEWHERE, f"{vehicle.returns_elsewhere}; land instead")
+    home = vehicle.home_enu_m
+    if home is None:
+        return Notice(Code.HOME_UNKNOWN, "its home is unknown: no HOME_POSITION from the autopilot; land instead")
+    if shared := home_shared(own_id, separation_m, home, peers):
+        return Notice(shared.code, f"{shared.text}; land instead")
+    own = (_level(vehicle.position_enu_m), home)
+    apart_m = {vehicle_id: apart(own, path) for vehicle_id, path in _paths_near(own, separation_m, peers)}
     nearest = min(apart_m, key=apart_m.__getitem__, default=None)
     if nearest is None or apart_m[nearest] >= separation_m:
         return None
@@ -200,26 +205,52 @@ def refusal_of_return(
     )
 
 
-def _paths_near(
-    own: Path, separation_m: float, peers: Iterable[PeerPacket], ground_position_enu_m: Mapping[int, Vector3]
-) -> Iterator[tuple[int, Path]]:
+def home_shared(own_id: int, separation_m: float, home: Place, peers: Iterable[PeerPacket]) -> Notice | None:
+    """The home of a peer nearer than separation_m to this one's, in whatever phase that peer is: it may return later."""
+    homes = {peer.sender.vehicle_id: peer.home_enu_m for peer in peers if peer.home_enu_m is not None}
+    apart_m = {vehicle_id: dist(home, other) for vehicle_id, other in homes.items()}
+    nearest = min(apart_m, key=apart_m.__getitem__, default=None)
+    if nearest is None or apart_m[nearest] >= separation_m:
+        return None
+    return Notice(
+        Code.HOME_SHARED,
+        f"home: the autopilots of vehicles {own_id} and {nearest} have homes {apart_m[nearest]:.2f} m apart; expected at"
+        f" least separation_m, {separation_m:g} m",
+    )
+
+
+def home_elsewhere(separation_m: float, vehicle: VehicleState) -> Notice | None:
+    """The home of a vehicle on the ground that is not where it stands, as after a ground station has set it."""
+    if vehicle.home_enu_m is None:
+        return None
+    apart_m = dist(vehicle.home_enu_m, _level(vehicle.position_enu_m))
+    if apart_m < separation_m:
+        return None
+    east_m, north_m = vehicle.home_enu_m
+    return Notice(
+        Code.HOME_ELSEWHERE,
+        f"home: the autopilot's is {apart_m:.1f} m from the vehicle, at {east_m:.1f}, {north_m:.1f} m; `return` ends there",
+    )
+
+
+def _paths_near(own: Path, separation_m: float, peers: Iterable[PeerPacket]) -> Iterator[tuple[int, Path]]:
     """(vehicle id, path) of the peers, without paths that one comparison of coordinates shows to be farther away."""
     (x0, y0), (x1, y1) = own
     around_m = separation_m + ROUNDING_M
     west, east = min(x0, x1) - around_m, max(x0, x1) + around_m
     south, north = min(y0, y1) - around_m, max(y0, y1) + around_m
     for peer in peers:
-        path = _path_of(peer, ground_position_enu_m)
+        path = _path_of(peer)
         (x0, y0), (x1, y1) = path
         beside = (x0 > east and x1 > east) or (x0 < west and x1 < west)
         if not (beside or (y0 > north and y1 > north) or (y0 < south and y1 < south)):
             yield peer.sender.vehicle_id, path
 
 
-def _path_of(peer: PeerPacket, ground_position_enu_m: Mapping[int, Vector3]) -> Path:
+def _path_of(peer: PeerPacket) -> Path:
     """The path home of a peer; its position alone where it does not return, or its home is unknown."""
-    here = peer.motion.position_enu_m
-    return _path(here, ground_position_enu_m.get(peer.sender.vehicle_id, here) if peer.phase in MAY_GO_HOME else here)
+    here = _level(peer.motion.position_enu_m)
+    return here, here if peer.home_enu_m is None or peer.phase not in MAY_GO_HOME else peer.home_enu_m
 
 
 def apart(a: Path, b: Path) -> float:
@@ -229,8 +260,8 @@ def apart(a: Path, b: Path) -> float:
     return min(_off(a[0], b), _off(a[1], b), _off(b[0], a), _off(b[1], a))
 
 
-def _path(here_enu_m: Vector3, home_enu_m: Vector3) -> Path:
-    return (here_enu_m[0], here_enu_m[1]), (home_enu_m[0], home_enu_m[1])
+def _level(position_enu_m: Vector3) -> Place:
+    return position_enu_m[0], position_enu_m[1]
 
 
 def _side(point: tuple[float, float], path: Path) -> float:

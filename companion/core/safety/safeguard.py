@@ -148,8 +148,7 @@ class SafeguardStage:
             return []
         reason = flags_notice(active.flags)
         if active.action is FailsafeAction.RETURN:
-            peers, homes_enu_m = consensus.peers.packets, consensus.peers.ground_position_enu_m
-            refusal = refusal_of_return(self._own_id, self._separation_m, vehicle, peers, homes_enu_m)
+            refusal = refusal_of_return(self._own_id, self._separation_m, vehicle, consensus.peers.packets)
             if refusal is None:
                 return [PhaseRequest(PhaseChange.RETURN, reason)]
             reason = Notice(reason.code, f"{reason.text}; no return: {refusal.text}")

@@ -106,6 +106,13 @@ PARAMETERS: tuple[ParameterRule, ...] = (
         one_of(FENCE_ACTIONS, Judgement(OK)),
         always(1.0),
     ),
+    ParameterRule(
+        "RALLY_TOTAL",
+        Code.RETURNS_ELSEWHERE,
+        "0",
+        one_of({0: Judgement(OK, "returns home")}, Judgement(WARNING, "returns to a rally point or home")),
+        remedy="clear the rally points, or expect `return` to be refused",
+    ),
     ParameterRule("MOT_THST_HOVER", Code.HOVER_THRUST_DIFFERS, NEAR_CONFIGURED, None, remedy=HOVER),
 )
 

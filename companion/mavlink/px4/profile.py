@@ -146,6 +146,13 @@ PARAMETERS: tuple[ParameterRule, ...] = (
         remedy=WIDER_FENCE.format("GF_MAX_VER_DIST"),
         unit="m",
     ),
+    ParameterRule(
+        "RTL_TYPE",
+        Code.RETURNS_ELSEWHERE,
+        "0 (home or the nearest rally point)",
+        one_of({0: Judgement(OK, "home or the nearest rally point")}, Judgement(WARNING, "may end elsewhere")),
+        remedy="set RTL_TYPE to 0, or expect `return` to be refused",
+    ),
     ParameterRule("MPC_THR_HOVER", Code.HOVER_THRUST_DIFFERS, NEAR_CONFIGURED, None, remedy=HOVER),
 )
 

@@ -65,6 +65,7 @@ class ArduCopter(Autopilot):
         super().__init__(file, dt_s)
         self.flight_logs = StandInLogs(dataflash_head, partial(dataflash_row, self), LOGS_AFTER_DISARMING_S)
         self.log_service = LogService()
+        self.parameters.set("RALLY_TOTAL", len(self.rally_points))
         self.mode = self.intended_mode = CopterMode.STABILIZE
         self.start = StartUp(self.armable_after_s(file.stand_in))
         self.failsafe = self.ekf_failsafe = False
@@ -341,4 +342,5 @@ class ArduCopter(Autopilot):
         self._restart_task()
 
     def _restart_task(self) -> None:
-        self._automatic.enter(self.mode.task, self.home, None)
+        home = self.return_place() if self.mode is CopterMode.RTL else self.home
+        self._automatic.enter(self.mode.task, home, None)

@@ -350,4 +350,5 @@ class Px4(Autopilot):
             self._enter(mode)
 
     def _enter(self, mode: Px4Mode) -> None:
-        self._automatic.enter(mode.task, self.home, self.takeoff_altitude_amsl_m)
+        home = self.return_place() if mode is Px4Mode.RTL else self.home
+        self._automatic.enter(mode.task, home, self.takeoff_altitude_amsl_m)

@@ -55,7 +55,8 @@ ONBOARD_RATES_HZ = rates_by_id(DATA.onboard_rates_hz)
 GROUND_RATES_HZ = rates_by_id(DATA.ground_rates_hz)  # once its peer has connected
 HEARTBEAT_ONLY = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
 SILENT = frozenset(message_ids(DATA.silent))
-SETTABLE = (frozenset(ONBOARD_RATES_HZ) | SILENT) - {mavlink.MAVLINK_MSG_ID_HEARTBEAT}
+FIXED = {mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_MISSION_CURRENT}  # rates that nobody can set
+SETTABLE = (frozenset(ONBOARD_RATES_HZ) | SILENT) - FIXED
 BODY_RATES = ("body_roll_rate", "body_pitch_rate", "body_yaw_rate")
 ABOVE_SEA_LEVEL = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 

@@ -56,7 +56,7 @@ def test_formation_is_refused_until_the_parameter_is_set(
     )  # known long before the command form
 
     flight.autopilot.parameters[name] = IN_ORDER[kind][name]  # by its pilot, from a ground station
-    flight.ticks(len(IN_ORDER[kind]) * REFRESH_PERIOD_S + 0.1)
+    flight.ticks(len(IN_ORDER[kind]) * (REFRESH_PERIOD_S + 0.02) + 0.1)
     assert form(flight)[0]
 
 

@@ -21,18 +21,21 @@ from companion.types.autopilot import (
     EstimatorSample,
     GlobalPositionSample,
     HeartbeatSample,
+    HomeSample,
     LandedSample,
     LandedState,
     ModeSample,
     OriginSample,
     PositionAid,
     PositionSample,
+    RallySample,
     RequestOrigin,
     SetMode,
     TakeOff,
     TextSample,
 )
 from companion.types.notices import Code
+from sitl.autopilots.messages import MissionCurrent
 
 AUTO_LOITER = (4 << 16) | (3 << 24)
 
@@ -51,6 +54,23 @@ def test_position_is_converted_to_enu() -> None:
     assert Translator(3, AutopilotKind.PX4).telemetry(data, 9.0) == [
         PositionSample(9.0, 1.5, (2.0, 1.0, 3.0), (0.25, 0.5, 0.125))
     ]
+
+
+def test_home_is_read() -> None:
+    no = (0.0, 0.0, 0.0)
+    message = mavlink.MAVLink_home_position_message(473977420, 85455940, 488000, *no, [1.0, *no], *no)
+    samples = Translator(3, AutopilotKind.PX4).telemetry(from_autopilot(message), 9.0)
+    assert samples == [HomeSample(9.0, 47.397742, 8.545594)]
+    assert Translator(3, AutopilotKind.PX4).telemetry(from_autopilot(message, system_id=4), 9.0) == []
+
+
+@pytest.mark.parametrize("rally_points_id", [0, 1, 0x01000000, 2**32 - 1])
+@pytest.mark.parametrize("force_mavlink1", [False, True])
+def test_rally_points_are_seen_by_their_id(rally_points_id: int, force_mavlink1: bool) -> None:
+    """PX4 sends it with MAVLink 2, where zeros at the end of a message are left out."""
+    data = MissionCurrent(rally_points_id).pack(mavlink.MAVLink(None, 3, 1), force_mavlink1)
+    (sample,) = Translator(3, AutopilotKind.PX4).telemetry(data, 9.0)
+    assert sample == RallySample(9.0, has_rally_points=rally_points_id != 0)
 
 
 def test_attitude_is_converted_to_flu_in_enu() -> None:

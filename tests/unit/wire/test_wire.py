@@ -89,6 +89,7 @@ packets = st.builds(
     reference=st.none() | st.builds(HeldReference, counts, counts, numbers),
     change=st.none() | changes,
     rft=st.none() | st.tuples(vectors, vectors, vectors),
+    home_enu_m=st.none() | st.tuples(st.floats(-MAX_COORDINATE_M, MAX_COORDINATE_M), st.floats(-9.0, 9.0)),
 )
 percentiles = st.builds(Percentiles, numbers, numbers, numbers)
 reports = st.builds(

@@ -403,15 +403,6 @@ def test_accelerations_are_used_within_the_fleet_s_limits() -> None:
     assert packet.motion.position_enu_m == GOOD.motion.position_enu_m
 
 
-def test_one_packet_from_the_ground_is_no_home() -> None:
-    peers = table()
-    rejections(peers)
-    rejections(peers, 1.02, sequence=11, phase=FlightPhase.READY)
-    assert peers.ground_position_enu_m == {}
-    rejections(peers, 1.04, sequence=12, phase=FlightPhase.READY)
-    assert 2 in peers.ground_position_enu_m
-
-
 def test_clock_offset_is_measured_again_after_a_restart() -> None:
     link = DelayedLink()
     link.send(0.01, ticks=50)

@@ -14,6 +14,7 @@ from companion.types.autopilot import (
     EstimatorSample,
     GlobalPositionSample,
     HeartbeatSample,
+    HomeSample,
     LandedSample,
     LandedState,
     OriginSample,
@@ -224,3 +225,30 @@ def test_an_invalid_position_error_is_unknown(bad: float) -> None:
         autopilot.send(EstimatorSample(0.2, 0.3, 0.5))
         state = autopilot.send(msgspec.structs.replace(sample, received_s=0.3))
         assert state.position_unaided and state.position_error and state.position_error.horizontal_m >= 0.3
+
+
+def home(position_m: Vector3, origin: Vector3 = FLEET) -> HomeSample:
+    return HomeSample(0.0, *geodetic_from_enu(position_m, origin)[:2])
+
+
+def test_home_is_a_place_in_the_fleet_frame_whatever_the_autopilot_s_origin() -> None:
+    autopilot = flying()
+    state = autopilot.send(home((-7.0, 30.0, 2.0)))  # also before the origin
+    assert state.home_enu_m == pytest.approx((-7.0, 30.0), abs=1e-6)
+    autopilot.send(autopilot.origin())
+    assert autopilot.send(home((8.0, -1.0, 0.0))).home_enu_m == pytest.approx((8.0, -1.0), abs=1e-6)
+
+
+def test_home_in_a_shared_frame_needs_the_autopilot_s_origin() -> None:
+    autopilot = Autopilot(VehicleTracker(None))
+    assert autopilot.send(home((1.0, 2.0, 0.0))).home_enu_m is None
+    assert autopilot.tracker.rejected == {}
+    assert autopilot.send(OriginSample(0.0, *FLEET)).home_enu_m == pytest.approx((1.0, 2.0), abs=1e-6)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (91.0, 8.5), (47.4, 181.0), (nan, 8.5), (47.6, 8.5)])
+def test_an_implausible_home_is_unknown_and_counted(place: tuple[float, float]) -> None:
+    autopilot = flying()
+    autopilot.send(home((1.0, 2.0, 0.0)))
+    assert autopilot.send(HomeSample(0.0, *place)).home_enu_m is None
+    assert autopilot.tracker.rejected[Code.HOME_IMPLAUSIBLE] == 1

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from companion.core.safety.audit import AuditFinding, Facts, PositionCheck, Verdict, audit, worst
+from companion.core.safety.audit import AuditFinding, Facts, FoundHome, PositionCheck, Verdict, audit, worst
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import AutopilotKind
 
@@ -55,6 +55,9 @@ CASES: list[tuple[AutopilotKind, str, float | None, Verdict, float | None]] = [
     (PX4, "GF_MAX_HOR_DIST", 0.0, WARNING, None),
     (PX4, "GF_MAX_VER_DIST", 30.0, OK, None),
     (PX4, "GF_MAX_VER_DIST", 0.0, WARNING, None),
+    (PX4, "RTL_TYPE", 0, OK, None),
+    (PX4, "RTL_TYPE", 1, WARNING, None),
+    (PX4, "RTL_TYPE", 5, WARNING, None),
     (PX4, "MPC_THR_HOVER", 0.5, OK, None),
     (PX4, "MPC_THR_HOVER", 0.3, WARNING, None),
     (ARDUPILOT, "GUID_OPTIONS", 8, OK, None),
@@ -75,6 +78,8 @@ CASES: list[tuple[AutopilotKind, str, float | None, Verdict, float | None]] = [
     (ARDUPILOT, "FENCE_ACTION", 1, OK, None),
     (ARDUPILOT, "FENCE_ACTION", 4, OK, None),
     (ARDUPILOT, "FENCE_ACTION", 0, WARNING, 1.0),
+    (ARDUPILOT, "RALLY_TOTAL", 0, OK, None),
+    (ARDUPILOT, "RALLY_TOTAL", 2, WARNING, None),
     (ARDUPILOT, "MOT_THST_HOVER", 0.47, OK, None),
     (ARDUPILOT, "MOT_THST_HOVER", 0.2, WARNING, None),
 ]
@@ -141,6 +146,7 @@ BENCH = Facts(
     failing_checks="",
     position_check=PositionCheck.INSIDE,
     position_enu_m=(1.0, 2.0, -0.0),
+    home=FoundHome(0.4, 1.5),
     battery_percent=90.0,
     mode_name="AUTO.LOITER",
     armed=False,
@@ -154,7 +160,7 @@ def verdicts(facts: Facts) -> dict[str, Verdict]:
 def test_vehicle_in_order_has_no_findings() -> None:
     assert set(verdicts(BENCH).values()) == {OK}
     assert list(verdicts(BENCH)) == [
-        "positions", "attitudes", "modes", "landed states", "estimator and checks", "origin", "battery", "mode",
+        "positions", "attitudes", "modes", "landed states", "estimator and checks", "origin", "home", "battery", "mode",
     ]  # fmt: skip
     assert "1.0, 2.0, 0.0 m" in next(found.found for found in audit(BENCH) if found.subject == "origin")
 
@@ -171,6 +177,9 @@ def test_vehicle_in_order_has_no_findings() -> None:
         (replace(BENCH, position_check=PositionCheck.UNKNOWN), "origin", REFUSAL),
         (replace(BENCH, position_check=PositionCheck.NO_ORIGIN), "origin", REFUSAL),
         (replace(BENCH, position_check=PositionCheck.OUTSIDE), "origin", REFUSAL),
+        (replace(BENCH, home=FoundHome(1.5, 1.5)), "home", WARNING),
+        (replace(BENCH, home=FoundHome(None, 1.5)), "home", WARNING),
+        (replace(BENCH, home=FoundHome(0.4, 1.5, "rally points")), "home", WARNING),
         (replace(BENCH, battery_percent=39.0), "battery", WARNING),
         (replace(BENCH, battery_percent=19.0), "battery", REFUSAL),
         (replace(BENCH, battery_percent=-1.0), "battery", WARNING),

@@ -32,6 +32,7 @@ from companion.types.flight import STREAMING, FailsafeAction, Flight, FlightPhas
 from companion.types.notices import Code
 from companion.types.status import NearestVehicle, SeparationReport
 from companion.types.tick import Inbox
+from companion.types.values import Place
 
 F, P, A = HealthFlag, FlightPhase, FailsafeAction
 KINDS = list(AutopilotKind)
@@ -101,7 +102,7 @@ class Vehicle:
         self.commanded = False
         self.silent_since_s: float | None = None
         self.stopping = False
-        self.home_enu_m: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
+        self.home_enu_m: Place | None = (0.0, 0.0)
         self.leaves_formation = False
         self._late_s = -inf
 
@@ -160,7 +161,7 @@ class Vehicle:
             heartbeat_time_s=now_s - age[F.ARMED_STALE],
             landed=LandedState.IN_AIR,
             landed_time_s=now_s - age[F.LANDED_STALE],
-            ground_position_enu_m=self.home_enu_m,
+            home_enu_m=self.home_enu_m,
             frame_known=F.FRAME_UNKNOWN not in raised,
             frame_contradicted=F.FRAME_CONTRADICTED in raised,
             held_back_m=6.0 if F.POSITION_JUMPED in raised else 0.0,
@@ -481,15 +482,15 @@ def test_a_pilot_ends_the_escalation() -> None:
 @pytest.mark.parametrize(
     ("action", "home_enu_m", "expected"),
     [
-        (A.HOLD, (0.0, 0.0, 0.0), set()),
-        (A.RETURN, (9.0, 0.0, 0.0), {"return"}),
-        (A.RETURN, (60.0, 60.0, 0.0), {"land"}),  # through vehicle 4
+        (A.HOLD, (0.0, 0.0), set()),
+        (A.RETURN, (9.0, 0.0), {"return"}),
+        (A.RETURN, (60.0, 60.0), {"land"}),  # through vehicle 4
         (A.RETURN, None, {"land"}),
-        (A.LAND, (0.0, 0.0, 0.0), {"land"}),
+        (A.LAND, (0.0, 0.0), {"land"}),
     ],
 )
 def test_the_fleet_file_chooses_what_a_low_battery_does(
-    action: FailsafeAction, home_enu_m: tuple[float, float, float] | None, expected: set[str]
+    action: FailsafeAction, home_enu_m: Place | None, expected: set[str]
 ) -> None:
     vehicle = held_by(F.BATTERY_LOW, FailsafeSettings(low_battery_action=action))
     vehicle.home_enu_m = home_enu_m

@@ -1,5 +1,7 @@
 """The command `return`: separation of return paths, mode request, end of the return."""
 
+from math import dist
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -8,13 +10,15 @@ from msgspec.structs import replace
 from common import code_of, outcome, slot_peer, with_fields
 from companion.core.command.phase import PhaseMachine
 from companion.core.safety.fleet_checks import Path, apart, refusal_of_return
-from companion.types.autopilot import AckSample, AutopilotMode, HeartbeatSample, LandedState, SetMode
+from companion.geometry.frames import enu_from_geodetic
+from companion.types.autopilot import AckSample, AutopilotMode, HomeSample, LandedState, RallySample, SetMode
 from companion.types.commands import CommandName
 from companion.types.flight import RULES, FlightPhase
 from companion.types.notices import Answer, Code, Notice
 from companion.types.peers import PeerPacket
+from companion.types.status import Status
 from companion.types.values import Vector3
-from one_agent import AIR, AgentFlight, ImmediateAutopilot, flown_to, levelled, tick
+from one_agent import AIR, ORIGIN, AgentFlight, ImmediateAutopilot, flown_to, levelled, tick
 
 P, M, C = FlightPhase, AutopilotMode, CommandName
 
@@ -44,9 +48,12 @@ def peer_in(phase: FlightPhase, at: Vector3) -> PeerPacket:
     return with_fields(slot_peer(1), phase=phase, position_enu_m=at)
 
 
-def refusal(at: Vector3, home: Vector3 | None, *others: PeerPacket, peer_home: Vector3 | None = None) -> Notice | None:
-    vehicle = replace(AIR, position_enu_m=at, ground_position_enu_m=home)
-    return refusal_of_return(2, 1.0, vehicle, others, {} if peer_home is None else {1: peer_home})
+def refusal(
+    at: Vector3, home: Vector3 | None, *others: PeerPacket, peer_home: Vector3 | None = None, elsewhere: str = ""
+) -> Notice | None:
+    vehicle = replace(AIR, position_enu_m=at, home_enu_m=home and home[:2], returns_elsewhere=elsewhere)
+    peers = [with_fields(peer, home_enu_m=peer_home and peer_home[:2]) for peer in others]
+    return refusal_of_return(2, 1.0, vehicle, peers)
 
 
 def test_separate_return_paths_are_accepted() -> None:
@@ -89,11 +96,29 @@ PLACE = st.tuples(COORDINATE_M, COORDINATE_M, st.just(5.0))
 def test_every_path_within_separation_is_refused(at: Vector3, home: Vector3, other: Vector3, its_home: Vector3) -> None:
     """However the two paths lie: none is left out as too far away to be compared."""
     too_close = apart((at[:2], home[:2]), (other[:2], its_home[:2])) < 1.0
+    too_close = too_close or dist(home, its_home) < 1.0
     assert (refusal(at, home, peer_in(P.HOLD, other), peer_home=its_home) is not None) is too_close
 
 
 def test_return_is_refused_when_home_is_unknown() -> None:
     assert code_of(refusal((0.0, 6.0, 5.0), None)) is Code.HOME_UNKNOWN
+
+
+@pytest.mark.parametrize("phase", sorted(P))
+def test_homes_nearer_than_separation_m_are_refused_whatever_the_other_does(phase: FlightPhase) -> None:
+    far_away = peer_in(phase, (30.0, -1.0, 5.0))
+    shared = refusal((0.0, 6.0, 5.0), (0.0, 0.0, 0.0), far_away, peer_home=(0.6, 0.0, 0.0))
+    assert shared == Notice(
+        Code.HOME_SHARED,
+        "home: the autopilots of vehicles 2 and 1 have homes 0.60 m apart; expected at least separation_m, 1 m; land"
+        " instead",
+    )
+    assert refusal((0.0, 6.0, 5.0), (0.0, 0.0, 0.0), far_away, peer_home=(0.0, -1.0, 0.0)) is None
+
+
+def test_return_is_refused_where_it_may_end_elsewhere() -> None:
+    found = refusal((0.0, 6.0, 5.0), (0.0, 0.0, 0.0), elsewhere="rally points")
+    assert found == Notice(Code.RETURNS_ELSEWHERE, "rally points; land instead")
 
 
 # ---------------------------------------------------------------- phases
@@ -234,13 +259,10 @@ def test_return_from_formation_levels_before_the_mode_change() -> None:
     assert flight.agent.phase is P.RETURN
 
 
-def test_return_check_uses_the_recorded_homes_of_peers() -> None:
-    flight = AgentFlight()
-    flight.peer_phase, flight.peer_position = P.ARMED, (0.0, 0.0, 0.0)
-    flight.fly_to(P.HOLD)
+def test_return_check_uses_the_homes_that_peers_report() -> None:
+    flight = AgentFlight().fly_to(P.HOLD)
+    flight.peer_changes = {"home_enu_m": (0.0, 0.0)}
     flight.peer_phase, flight.peer_position = P.HOLD, (-3.0, 0.0, 1.0)  # on the other side of this one's home
-    for _ in range(200):
-        flight.tick()
     flight.position = (-1.5, 5.0, 1.0)
     flight.tick()
     refusal = answer(flight)
@@ -252,18 +274,71 @@ def test_return_check_uses_the_recorded_homes_of_peers() -> None:
     assert answer(flight)[0]
 
 
-def test_home_is_unknown_after_a_restart_in_flight() -> None:
+def test_home_is_that_of_the_autopilot_also_after_a_restart_in_flight() -> None:
     flight = AgentFlight()
-    flight.armed, flight.landed, flight.mode = True, LandedState.IN_AIR, M.HOLD
-    late = [sample for sample in flight.telemetry() if not isinstance(sample, HeartbeatSample)]
-    flight.tick(telemetry=late)  # the first telemetry has no armed state
-    for _ in range(20):
+    flight.armed, flight.landed, flight.mode, flight.home = True, LandedState.IN_AIR, M.HOLD, (-4.0, 7.0, 0.0)
+    flight.fly_to(P.OBSERVE)
+    for _ in range(50):
         flight.tick()
     assert flight.tick(C.HOLD).replies[0].accepted
     for _ in range(30):
-        flight.tick()
+        outbox = flight.tick()
+    assert outbox.peer_packet and outbox.peer_packet.home_enu_m == pytest.approx((-4.0, 7.0), abs=0.02)
     assert flight.agent.phase is P.HOLD
-    assert outcome(answer(flight)) == (False, Code.HOME_UNKNOWN)
+    assert answer(flight)[0]
+
+
+@pytest.mark.parametrize("for_s", [4.8, 5.2])
+def test_a_home_is_known_for_five_seconds(for_s: float) -> None:
+    flight = AgentFlight().fly_to(P.HOLD)
+    flight.withheld = (HomeSample,)
+    for _ in range(round(for_s / 0.02)):
+        flight.tick()
+    assert outcome(answer(flight)) == ((True, Code.PHASE_CHANGED) if for_s < 5.0 else (False, Code.HOME_UNKNOWN))
+
+
+def test_a_home_that_is_none_is_refused_and_counted() -> None:
+    """0, 0 is what an autopilot without a home would send."""
+    flight = AgentFlight().fly_to(P.HOLD)
+    flight.home = enu_from_geodetic(0.0, 0.0, 400.0, ORIGIN)
+    assert answer(flight)[1].code is Code.HOME_UNKNOWN
+    assert flight.agent.perception.rejected[Code.HOME_IMPLAUSIBLE] > 0
+
+
+def test_rally_points_and_other_kinds_of_return_are_refused() -> None:
+    flight = AgentFlight().fly_to(P.HOLD)
+    flight.tick(telemetry=[*flight.telemetry(), RallySample(flight.now_s, has_rally_points=True)])
+    assert flight.tick().peer_packet.home_enu_m is None  # others do not count on it either
+    found = answer(flight)
+    assert outcome(found) == (False, Code.RETURNS_ELSEWHERE) and "rally points" in found.notice.text
+    flight.tick(telemetry=[*flight.telemetry(), RallySample(flight.now_s, has_rally_points=False)])
+    flight.parameters["RTL_TYPE"] = 3
+    for _ in range(300):
+        flight.tick()
+    found = answer(flight)
+    assert outcome(found) == (False, Code.RETURNS_ELSEWHERE) and "RTL_TYPE: 3 (may end elsewhere)" in found.notice.text
+    flight.parameters["RTL_TYPE"] = 0
+    for _ in range(300):
+        flight.tick()
+    assert answer(flight)[0]
+
+
+def test_a_home_elsewhere_or_shared_warns_before_arming() -> None:
+    flight = AgentFlight()
+    flight.peer_phase, flight.peer_position = P.READY, (3.0, 0.0, 0.0)
+    for _ in range(150):
+        flight.tick()
+    assert status_of(flight).safety.warnings == ()
+    flight.peer_changes = {"home_enu_m": (-1.5, 0.5)}
+    assert [w.code for w in status_of(flight).safety.warnings] == [Code.HOME_SHARED]
+    flight.landed = LandedState.UNDEFINED  # the home stays where it is
+    flight.position = (-1.5, -4.0, 0.0)
+    assert [w.code for w in status_of(flight).safety.warnings] == [Code.HOME_ELSEWHERE, Code.HOME_SHARED]
+
+
+def status_of(flight: AgentFlight) -> Status:
+    """The newest of the next second."""
+    return [status for _ in range(50) if (status := flight.tick().status)][-1]
 
 
 def test_return_is_accepted_outside_the_fence_and_refused_without_a_valid_position() -> None:
