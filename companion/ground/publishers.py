@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import zenoh
@@ -41,6 +42,42 @@ class TargetPublisher(GroundConnection):
         self.session.put(self._key, encode(sample), congestion_control=zenoh.CongestionControl.DROP, express=True)
 
 
+@dataclass(frozen=True, slots=True)
+class HeightReference:
+    """What a reported altitude refers to: altitude above mean sea level = altitude + `add_m`; None where nobody knows."""
+
+    add_m: float | None
+
+
+AMSL = HeightReference(0.0)
+UNKNOWN_HEIGHT = HeightReference(None)
+GEOID_M, PRESSURE_HPA = (-120.0, 100.0), (850.0, 1100.0)  # all there are on Earth at sea level
+STANDARD_HPA, STANDARD_M, EXPONENT = 1013.25, 44_330.8, 0.190263  # of the international standard atmosphere, ISO 2533
+
+
+def above_ellipsoid(geoid_m: float) -> HeightReference:
+    """Of a GNSS height above the WGS84 ellipsoid. `geoid_m`: the geoid above it there, 47 m in Zurich. Raises ValueError.
+
+    An autopilot reports both (GPS_RAW_INT: alt_ellipsoid - alt).
+    """
+    return HeightReference(-_within("geoid_m", geoid_m, *GEOID_M, "m"))
+
+
+def pressure_altitude(qnh_hpa: float) -> HeightReference:
+    """Of a barometric altitude by the standard pressure, as of transponders. `qnh_hpa`: the QNH there. Raises ValueError.
+
+    A warm or cold day adds some 4 % of the height above the ground for each 10 K: put it into `error_m`.
+    """
+    ratio = _within("qnh_hpa", qnh_hpa, *PRESSURE_HPA, "hPa") / STANDARD_HPA
+    return HeightReference(-STANDARD_M * (1.0 - ratio**EXPONENT))
+
+
+def _within(name: str, value: float, least: float, most: float, unit: str) -> float:
+    if not least <= value <= most:
+        raise ValueError(f"{name}: {value:g} {unit}, expected {least:g} to {most:g}")
+    return value
+
+
 class TrafficPublisher(GroundConnection):
     """Positions of vehicles outside the fleet, such as those that a receiver of ADS-B reports.
 
@@ -57,7 +94,9 @@ class TrafficPublisher(GroundConnection):
         self, name: str, position_enu_m: Vector3, velocity_enu_m_s: Vector3, age_s: float = 0.0, error_m: float = 0.0
     ) -> None:
         """A position in the fleet frame, `age_s` old. `name`: letters, digits, _ and -, such as an ICAO address."""
-        sample = TrafficSample(position_enu_m, velocity_enu_m_s, age_s, error_m)
+        self._put(name, TrafficSample(position_enu_m, velocity_enu_m_s, age_s, error_m))
+
+    def _put(self, name: str, sample: TrafficSample) -> None:
         self.session.put(
             traffic_key(self._fleet, self._source, name),
             encode(sample),
@@ -73,7 +112,18 @@ class TrafficPublisher(GroundConnection):
         origin_deg_deg_m: Vector3,
         age_s: float = 0.0,
         error_m: float = 0.0,
+        height: HeightReference = UNKNOWN_HEIGHT,
     ) -> None:
-        """WGS84 latitude, longitude and altitude AMSL, as ADS-B reports them; the origin is that of the fleet file."""
-        position_enu_m = enu_from_geodetic(*position_deg_deg_m, origin_deg_deg_m)
-        self.publish(name, position_enu_m, velocity_enu_m_s, age_s, error_m)
+        """WGS84 latitude, longitude and an altitude; the origin is that of the fleet file, with its altitude AMSL.
+
+        ADS-B reports a pressure altitude or a height above the ellipsoid, each up to some 200 m off AMSL. `height` says which:
+        `AMSL`, `above_ellipsoid` or `pressure_altitude`. Without it the aircraft is avoided horizontally, at any height.
+        """
+        latitude_deg, longitude_deg, altitude_m = position_deg_deg_m
+        if height.add_m is None:
+            east_m, north_m, _ = enu_from_geodetic(latitude_deg, longitude_deg, origin_deg_deg_m[2], origin_deg_deg_m)
+            sample = TrafficSample((east_m, north_m, 0.0), velocity_enu_m_s, age_s, error_m, "unknown")
+        else:
+            position_enu_m = enu_from_geodetic(latitude_deg, longitude_deg, altitude_m + height.add_m, origin_deg_deg_m)
+            sample = TrafficSample(position_enu_m, velocity_enu_m_s, age_s, error_m)
+        self._put(name, sample)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
@@ -113,14 +113,16 @@ TrafficSpeed = Annotated[float, Meta(ge=-MAX_TRAFFIC_SPEED_M_S, le=MAX_TRAFFIC_S
 class TrafficSample(Struct, frozen=True, gc=False, forbid_unknown_fields=True):
     """Position and velocity in the fleet frame, `age_s` old when sent.
 
-    `error_m` is one standard deviation of the position. Samples have no counter: two receivers may report one aircraft, and the
-    newest position is used.
+    `error_m` is one standard deviation of the position. `height` says what the third coordinate is: a height in the fleet
+    frame, or nothing, where its sender does not know to what the reported one refers. Samples have no counter: two receivers
+    may report one aircraft, and the newest position is used.
     """
 
     position_enu_m: Position
     velocity_enu_m_s: tuple[TrafficSpeed, TrafficSpeed, TrafficSpeed]
     age_s: Annotated[float, Meta(ge=0, le=10)] = 0.0
     error_m: Annotated[float, Meta(ge=0, le=100)] = 0.0
+    height: Literal["fleet", "unknown"] = "fleet"
 
 
 class ReceivedTraffic(Struct, frozen=True, gc=False):

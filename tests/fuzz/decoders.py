@@ -160,7 +160,10 @@ def decoders() -> dict[str, Decoder]:
             decode_target, (WireError,), (TargetSample(1, 2, 3.0, (1.0, 0.0, 0.0), (4.0, 5.0, 6.0)),), encode
         ),
         "traffic sample": Decoder(
-            decode_traffic, (WireError,), (TrafficSample((1.0, 2.0, 3.0), (4.0, 5.0, 6.0), 0.5, 2.0),), encode
+            decode_traffic,
+            (WireError,),
+            (TrafficSample((1.0, 2.0, 3.0), (4.0, 5.0, 6.0), 0.5, 2.0, "unknown"),),
+            encode,
         ),
         "status report": Decoder(decode_report, (WireError,), (StatusReport(STATUS, NOT_TIMED),), encode),
         "command reply": Decoder(

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from itertools import combinations, product
 from math import dist, exp, hypot, radians, sqrt, tan
 from random import Random
+from typing import Literal
 
 from msgspec.structs import replace
 
@@ -126,12 +127,13 @@ class Intruder:
     age_s: float = 0.0
     period_s: float = 1.0
     published: bool = True
+    height: Literal["fleet", "unknown"] = "fleet"
 
     def move(self) -> None:
         self.position_enu_m = self._at(TICK_S)
 
     def sample(self, now_s: float) -> ReceivedTraffic:
-        sample = TrafficSample(self._at(-self.age_s), self.velocity_enu_m_s, self.age_s, self.error_m)
+        sample = TrafficSample(self._at(-self.age_s), self.velocity_enu_m_s, self.age_s, self.error_m, self.height)
         return ReceivedTraffic(now_s, self.name, sample)
 
     def _at(self, ahead_s: float) -> Vector3:

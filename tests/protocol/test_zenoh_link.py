@@ -22,7 +22,7 @@ from common import until, with_fields
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, PeerLimits
 from companion.config.vehicle import ZenohEndpoints
 from companion.core.consensus.peers import FleetLimits, PeerTable
-from companion.ground.publishers import TargetPublisher, TrafficPublisher
+from companion.ground.publishers import AMSL, TargetPublisher, TrafficPublisher, above_ellipsoid
 from companion.ground.session import AGAIN_S, FleetSession
 from companion.link.fleet.zenoh_link import LONG_PAUSE_S, ZenohLink
 from companion.link.fleet.zenoh_session import EndpointError, open_session
@@ -433,7 +433,11 @@ def test_traffic_reaches_every_vehicle_and_malformed_samples_are_counted(port: i
 
         def publish() -> None:
             receiver_of_adsb.publish("4b1805", (5.0, 6.0, 7.0), (1.0, 0.0, 0.0), age_s=0.5, error_m=2.0)
-            receiver_of_adsb.publish_geodetic("4b1806", origin_deg_deg_m, (0.0, 0.0, 0.0), origin_deg_deg_m)
+            at_origin = ((0.0, 0.0, 0.0), origin_deg_deg_m)
+            receiver_of_adsb.publish_geodetic("4b1806", origin_deg_deg_m, *at_origin, height=AMSL)
+            ellipsoid_deg_deg_m = (*origin_deg_deg_m[:2], 488.0 + 47.0)
+            receiver_of_adsb.publish_geodetic("4b1807", ellipsoid_deg_deg_m, *at_origin, height=above_ellipsoid(47.0))
+            receiver_of_adsb.publish_geodetic("4b1808", (*origin_deg_deg_m[:2], 39_000.0), *at_origin)
             stranger.put(traffic_key(FLEET.name, "main", "4b1805"), bytes((WIRE_VERSION,)) + b"nonsense")
             for vehicle_id, one in ((1, leader), (2, follower)):
                 received[vehicle_id].extend(one.link.traffic(time.monotonic()))
@@ -441,10 +445,12 @@ def test_traffic_reaches_every_vehicle_and_malformed_samples_are_counted(port: i
         def known(vehicle_id: int) -> dict[str, TrafficSample]:
             return {each.name: each.sample for each in received[vehicle_id]}
 
-        until(lambda: len(known(1)) == len(known(2)) == 2 and leader.rejected, each=publish)
+        until(lambda: len(known(1)) == len(known(2)) == 4 and leader.rejected, each=publish)
     for newest in (known(1), known(2)):
         assert newest["4b1805"] == TrafficSample((5.0, 6.0, 7.0), (1.0, 0.0, 0.0), 0.5, 2.0)
-        assert newest["4b1806"].position_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+        for name, height in (("4b1806", "fleet"), ("4b1807", "fleet"), ("4b1808", "unknown")):
+            assert newest[name].position_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+            assert newest[name].height == height
     assert set(leader.rejected) == {Code.TRAFFIC_MALFORMED}
 
 

@@ -19,7 +19,7 @@ from companion.geometry.vectors import shortened
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FlownSlot
-from companion.types.peers import ReceivedTraffic
+from companion.types.peers import ReceivedTraffic, TrafficSample
 from companion.types.values import ZERO3, Vector3
 
 # From a commanded to the flown acceleration: the mean delay of the attitude step response, measured with PX4 (docs/law.md).
@@ -287,16 +287,22 @@ class Motions:
 
 
 def traffic_nearby(now_s: float, vehicle: VehicleState, traffic: Mapping[str, ReceivedTraffic]) -> list[Other]:
-    """The vehicles outside the fleet that are near this one."""
+    """The vehicles outside the fleet that are near this one; those of unknown height as if they were at its own.
+
+    Their heights have no weight: they are avoided to the side, at any height.
+    """
     near = []
     for name, one in traffic.items():
-        sample = one.sample
+        sample, weight = one.sample, HEIGHT_WEIGHT
         age_s = now_s - one.received_s + sample.age_s
         last = (sample.position_enu_m, sample.velocity_enu_m_s, ZERO3)
+        if sample.height == "unknown":
+            (x, y, _), (vx, vy, _) = sample.position_enu_m, sample.velocity_enu_m_s
+            last, weight = ((x, y, vehicle.position_enu_m[2]), (vx, vy, 0.0), ZERO3), 0.0
         if _may_meet(vehicle, *last[:2], age_s):
             error = PositionError(sample.error_m, sample.error_m)
             silence = TRAFFIC_SILENCE if age_s > TRAFFIC_EXTRAPOLATED_S else None
-            near.append(Other(name, last, age_s, silence, error, HEIGHT_WEIGHT, None, makes_way=False, side=1.0))
+            near.append(Other(name, last, age_s, silence, error, weight, None, makes_way=False, side=1.0))
     return near
 
 
@@ -337,8 +343,14 @@ class Traffic:
         for name in [name for name, one in newest.items() if now_s - _measured_s(one) > EXPIRES_S]:
             del newest[name]
         while len(newest) > KEPT:
-            del newest[max(newest, key=lambda name: dist(newest[name].sample.position_enu_m, own_enu_m))]
+            del newest[max(newest, key=lambda name: _distance_m(newest[name].sample, own_enu_m))]
 
 
 def _measured_s(one: ReceivedTraffic) -> float:
     return one.received_s - one.sample.age_s
+
+
+def _distance_m(sample: TrafficSample, own_enu_m: Vector3) -> float:
+    """Horizontal where the height is unknown: it may be above this vehicle."""
+    dimensions = 2 if sample.height == "unknown" else 3
+    return dist(sample.position_enu_m[:dimensions], own_enu_m[:dimensions])

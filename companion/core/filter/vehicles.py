@@ -19,7 +19,8 @@ The filter takes the acceleration nearest to the wanted one in all of them (`sol
     does not: a barrier with margins has a second constraint without them, of a higher rank.
   - Margins never push a formation apart: of two vehicles in slots D is at most halfway from `separation_m` to the distance of
     their slots.
-  - Heights count half (`geometry/formations.py`): n is the gradient of the weighted distance, and `size` its length.
+  - Heights count half (`geometry/formations.py`), unknown ones of traffic nothing: n is the gradient of the weighted distance,
+    and `size` its length.
   - Deadlock. Two vehicles that meet head-on brake for ever. Both add an acceleration to their right (`turn_right`).
 
 What it does not promise: with tilt limits and a speed limit not all constraints may be met at once. Then those of the lowest

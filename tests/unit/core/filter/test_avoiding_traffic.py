@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from math import hypot, inf
+
 import pytest
 
+from companion.core.filter.motion import Traffic
 from companion.types.autopilot import VehicleState
+from companion.types.peers import ReceivedTraffic, TrafficSample
 from companion.types.status import NearestVehicle
 from companion.types.values import ZERO3, Vector3
-from stage_fleets import Body, Intruder, SeparationFlight, off_m, to_goal
+from stage_fleets import TICK_S, Body, Intruder, SeparationFlight, off_m, to_goal
 
 SEPARATION_M = 2.0
 HOME: Vector3 = (0.0, 0.0, 5.0)
@@ -103,3 +107,42 @@ def test_traffic_that_stops_in_silence_is_kept_off() -> None:
     flight.fly(16.0)
     assert flight.least_counted_m >= SEPARATION_M
     assert off_m(flight.bodies[1], (0.0, 8.0, 5.0)) < 0.5
+
+
+@pytest.mark.parametrize("reported_m", [-40.0, 5.0, 196.0, 12_000.0])
+def test_traffic_of_unknown_height_is_passed_to_the_side_at_any_height(reported_m: float) -> None:
+    """An aircraft that seems 191 m higher, as its altitude is no altitude above sea level."""
+    flight = flight_with(Intruder("ABCDEF", (32.0, 0.3, reported_m), (-4.0, 0.0, 1.0), height="unknown"))
+    nearest_m = inf
+    for _ in range(round(16.0 / TICK_S)):
+        flight.fly(TICK_S)
+        (x, y, _), (px, py, _) = flight.bodies[1].position_enu_m, flight.intruders[0].position_enu_m
+        nearest_m = min(nearest_m, hypot(x - px, y - py))
+    assert nearest_m >= SEPARATION_M
+    assert flight.intruders[0].position_enu_m[0] < -SEPARATION_M
+    assert off_m(flight.bodies[1], HOME) < 0.3
+
+
+def test_traffic_of_a_known_height_is_not_avoided_where_it_is_far_above() -> None:
+    flight = flight_with(Intruder("ABCDEF", (32.0, 0.3, 196.0), (-4.0, 0.0, 0.0)))
+    flight.fly(16.0)
+    assert off_m(flight.bodies[1], HOME) < 0.01
+
+
+def test_traffic_of_unknown_height_that_is_silent_is_kept_off_to_the_side() -> None:
+    flight = flight_with(Intruder("ABCDEF", (1.0, 0.0, 900.0), height="unknown"))
+    flight.fly(0.02)
+    flight.intruders[0].published = False
+    flight.fly(20.0)
+    x, y, z = flight.bodies[1].position_enu_m
+    assert hypot(x - 1.0, y) >= SEPARATION_M
+    assert z == pytest.approx(HOME[2], abs=0.1)
+
+
+def test_of_many_the_nearest_count_and_unknown_heights_count_as_near() -> None:
+    traffic = Traffic()
+    known = [ReceivedTraffic(0.0, f"known-{i}", TrafficSample((0.0, 0.0, 100.0 + i), ZERO3)) for i in range(20)]
+    unknown = ReceivedTraffic(0.0, "unknown", TrafficSample((5.0, 0.0, 9000.0), ZERO3, height="unknown"))
+    traffic.step(0.0, HOME, [*known, unknown])
+    assert "unknown" in traffic.newest
+    assert len(traffic.newest) == 16
