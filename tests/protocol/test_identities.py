@@ -24,6 +24,7 @@ from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.fleet.zenoh_session import EndpointError, open_session
 from companion.security.admission import accept, read_certificate
 from companion.types.commands import Command, CommandName
+from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, TargetSample, TrafficSample
 from companion.wire.keys import abort_key, command_key, peer_key, reply_key, status_key, target_key, traffic_key
@@ -47,6 +48,7 @@ class Link:
     def __init__(self, link: ZenohLink, rejected: Counter[str]) -> None:
         self.link, self.rejected = link, rejected
         self.packets: list[PeerPacket] = []
+        self.proven: list[bool] = []  # of each packet
         self.commands: list[Command] = []
         self.others: list[Any] = []
 
@@ -54,6 +56,7 @@ class Link:
         now_s = time.monotonic()
         packets, commands = self.link.receive(now_s)
         self.packets += [received.packet for received in packets]
+        self.proven += [received.proven for received in packets]
         self.commands += commands
         self.others += [*self.link.targets(now_s), *self.link.traffic(now_s)]
 
@@ -117,6 +120,29 @@ def connected(first: Link, second: Link) -> None:
     time.sleep(0.3)
     first.tick()
     first.packets.clear()
+
+
+def test_a_term_that_a_vehicle_passes_on_counts_with_the_signature_of_its_leader(fleet: Identities) -> None:
+    to_first, to_relay = (f"tls/127.0.0.1:{free_port(socket.SOCK_STREAM)}" for _ in range(2))
+    claim = LeaderBeacon(2, 1, 100, 5.0, 1)
+    of_relay, of_leader = (with_fields(PACKET, vehicle_id=i, beacon=claim) for i in (3, 2))
+    with (
+        vehicle(fleet, 1, listen=to_first) as first,
+        vehicle(fleet, 3, listen=to_relay, connect=to_first) as relay,
+        vehicle(fleet, 2, connect=to_relay) as leader,
+    ):
+        until(lambda: first.proven, each=lambda: (relay.link.publish_peer(of_relay), first.tick()))
+        assert not any(first.proven)  # vehicle 2 has not said so
+        assert set(first.rejected) == {f"{Code.PEER_TERM_UNPROVEN} 3"}
+
+        def pass_on() -> None:
+            leader.link.publish_peer(of_leader)
+            relay.tick()
+            relay.link.publish_peer(of_relay)
+            first.tick()
+
+        until(lambda: first.proven[-1], each=pass_on)
+        assert {packet.sender.vehicle_id for packet in first.packets} == {3}
 
 
 def test_admitted_participants_reach_each_other(fleet: Identities, endpoint: str) -> None:
