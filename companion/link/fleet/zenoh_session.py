@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import zenoh
 
-from companion.link.fleet.lingering import keep_from_lingering
+from companion.link.fleet.sockets import hold_silent_connections, keep_from_lingering
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name
 from companion.types.errors import UnusableError
 from companion.wire.keys import (
@@ -107,9 +107,12 @@ def open_session(listen: Sequence[str], connect: Sequence[str], identity: Identi
     config.insert_json5("listen/endpoints", json.dumps(list(listen)))
     config.insert_json5("connect/endpoints", json.dumps(list(connect)))
     try:
-        return zenoh.open(config)
+        session = zenoh.open(config)
     except zenoh.ZError as error:
         raise _explain(str(error), listen, connect) from error
+    if listen:
+        hold_silent_connections()
+    return session
 
 
 def _security_settings(identity: Identity) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Connections that linger when they are closed, over real sockets of this process."""
+"""Connections that linger when they are closed, and those that say nothing, over real sockets of this process."""
 
 import os
 import socket
@@ -11,7 +11,7 @@ from contextlib import ExitStack, closing, suppress
 import pytest
 
 from common import until
-from companion.link.fleet.lingering import OPEN_FILES, stop_lingering
+from companion.link.fleet.sockets import OPEN_FILES, stop_lingering
 from companion.link.fleet.zenoh_session import open_session
 from processes import free_port
 
@@ -73,6 +73,21 @@ def test_no_connection_of_a_session_lingers(stack: ExitStack) -> None:
     stack.enter_context(closing(open_session((), (endpoint,))))
     until(lambda: first.info.links())
     until(lambda: not any(map(lingers, connections(stack))), each=lambda: time.sleep(0.1))
+
+
+def test_a_session_takes_no_connection_that_says_nothing(stack: ExitStack) -> None:
+    port = free_port(socket.SOCK_STREAM)
+    session = stack.enter_context(closing(open_session((f"tcp/127.0.0.1:{port}",), ())))
+    for _ in range(200):
+        stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+    stack.enter_context(closing(open_session((), (f"tcp/127.0.0.1:{port}",))))
+    until(lambda: session.info.links())
+    taken = [one for one in connections(stack) if one.getsockname()[1] == port and not listens(one)]
+    assert len(taken) == 1
+
+
+def listens(one: socket.socket) -> bool:
+    return bool(one.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN))
 
 
 def connections(stack: ExitStack) -> list[socket.socket]:

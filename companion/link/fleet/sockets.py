@@ -1,13 +1,18 @@
-"""Closing of Zenoh's TCP connections: it must not stop the thread that receives.
+"""What Zenoh's TCP sockets need, also below TLS, and Zenoh has no setting for.
 
-Zenoh sets SO_LINGER to 10 s on every connection, also below TLS, and closes it in its one receiving thread. Where the other
-computer has gone silent, its kernel acknowledges nothing any more, and close() waits all of these 10 s, in which nothing of
-anybody is received. Zenoh has no setting for that. So a thread of this process looks for its connections and switches lingering
-off: close() returns at once, and the kernel sends what is left.
+Zenoh sets SO_LINGER to 10 s on every connection, and closes it in its one receiving thread. Where the other computer has gone
+silent, its kernel acknowledges nothing any more, and close() waits all of these 10 s, in which nothing of anybody is received.
+So a thread of this process looks for its connections and switches lingering off: close() returns at once, and the kernel sends
+what is left.
+
+Zenoh accepts every connection and waits for its first bytes. A thousand that say nothing take all open files of the process,
+and pauses of 0.1 s after each that it gives up keep others out for minutes. So the kernel hands a connection over when it has
+said something, as a participant does at once.
 """
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import socket
@@ -22,6 +27,9 @@ LOOK_S = 0.5
 # comes back is refused while its earlier connection is closing. Twice zenoh_session.LEASE_MS.
 UNACKNOWLEDGED_MS = 4000
 OPEN_FILES = Path("/proc/self/fd")  # Linux
+# Seconds for which the kernel holds a connection that says nothing: then Zenoh gets it. Longer than a flight.
+SAYS_NOTHING_S = 3600
+WAITING = 4096  # connections that the kernel holds, as far as net.core.somaxconn lets it
 LINGER = struct.Struct("ii")  # on or off, seconds
 OFF = LINGER.pack(0, 0)
 
@@ -33,6 +41,17 @@ def keep_from_lingering() -> None:
     """From now on, until this process ends. Without /proc nothing is done."""
     if OPEN_FILES.is_dir() and _started.acquire(blocking=False):
         threading.Thread(target=_look, name="lingering", daemon=True).start()
+
+
+def hold_silent_connections() -> None:
+    """At all sockets on which this process accepts connections now. Without /proc nothing is done."""
+    if not OPEN_FILES.is_dir():
+        return
+    for entry in OPEN_FILES.iterdir():
+        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(int(entry.name))) as listener:
+            if listener.proto == socket.IPPROTO_TCP and listener.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
+                listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, SAYS_NOTHING_S)
+                listener.listen(WAITING)
 
 
 def _look() -> None:
