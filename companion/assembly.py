@@ -87,6 +87,7 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
         slots_have_height=law.altitude == "formation",
         ground_spread_m=fleet.ground_spread_m,
         separation_m=fleet.separation_m,
+        take_off_by_altitude=frozenset(kind for kind, profile in PROFILES.items() if profile.takes_off_by_altitude),
     )
     return Agent(
         vehicle_id=member.id,

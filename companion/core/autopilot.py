@@ -205,6 +205,7 @@ class AutopilotProfile:
     modes: Mapping[FlightPhase, frozenset[AutopilotMode]]
     procedures: Mapping[CommandName, ProcedureBuilder]
     flies_on_in_silence: bool
+    takes_off_by_altitude: bool  # above sea level, so it needs an origin; else by a height
     parameters: tuple[ParameterRule, ...]
     decide_in_silence: tuple[str, ...]
 
@@ -275,13 +276,12 @@ def _mode_or_landed(mode: AutopilotMode) -> Truth:
     return lambda vehicle: vehicle.mode is mode or vehicle.landed is LandedState.ON_GROUND
 
 
-def climb(vehicle: VehicleState, height_m: float, has_ended: Truth) -> Procedure:
-    """A take-off to this height. Raises ValueError where the altitude is unknown."""
-    if vehicle.altitude_amsl_m is None:
-        raise ValueError("the autopilot's altitude above sea level is unknown")
+def climb(vehicle: VehicleState, take_off: TakeOff, has_ended: Truth) -> Procedure:
+    """A take-off to the height of this request."""
+    height_m = take_off.height_m
     target_z_m = vehicle.position_enu_m[2] + height_m
     return Procedure(
-        TakeOff(vehicle.altitude_amsl_m + height_m, height_m),
+        take_off,
         taken=lambda v: v.mode is M.TAKEOFF or in_air(v),
         done=lambda v: has_ended(v) and abs(v.position_enu_m[2] - target_z_m) < CLIMBED_WITHIN_M,
         truth_time=mode_time_s,

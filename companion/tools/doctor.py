@@ -189,7 +189,8 @@ class DoctorSession(Bench):
         vehicle, survey, config = self.tracker.state, self._survey, self.config
         assert vehicle.autopilot is not None  # it answers
         assert self.parameters is not None
-        rules = PROFILES[vehicle.autopilot].parameters
+        profile = PROFILES[vehicle.autopilot]
+        rules, needs_altitude = profile.parameters, profile.takes_off_by_altitude
         parameters = await self.parameters.read_all(rule.name for rule in rules)
         round_trip_s = self.link.round_trip_s
         facts = Facts(
@@ -201,6 +202,7 @@ class DoctorSession(Bench):
             failing_checks=None if vehicle.armed else survey.failing_checks,
             position_check=self._position_check(vehicle),
             position_enu_m=vehicle.position_enu_m,
+            lacks_altitude=needs_altitude and vehicle.frame_known and vehicle.altitude_amsl_m is None,
             home=self._found_home(vehicle),
             battery_percent=-1.0 if survey.battery_percent is None else survey.battery_percent,
             mode_name=vehicle.mode_name,

@@ -121,10 +121,10 @@ class Disarm(Struct, frozen=True, gc=False):
 
 
 class TakeOff(Struct, frozen=True, gc=False):
-    """Take off vertically. `altitude_amsl_m` for PX4, `height_m` above the ground for ArduPilot."""
+    """Take off vertically, to a height above the ground; PX4 needs the altitude above sea level of the same place."""
 
-    altitude_amsl_m: float
     height_m: float
+    altitude_amsl_m: float = float("nan")
 
 
 class RequestOrigin(Struct, frozen=True, gc=False):

@@ -91,7 +91,7 @@ class Plant:
                     self._home = _geodetic(self.position_enu_m)
                 case Disarm():
                     self.armed = self.armed and self.landed is not LandedState.ON_GROUND
-                case TakeOff(_, height_m):
+                case TakeOff(height_m):
                     self.mode, self.landed = AutopilotMode.TAKEOFF, LandedState.IN_AIR
                     self._goal_m = self.position_enu_m[2] + height_m
                 case RequestOrigin():

@@ -211,7 +211,7 @@ class AgentFlight:
                     self.mode = mode
                 case Arm():
                     self.armed = True
-                case TakeOff(_, height_m):
+                case TakeOff(height_m):
                     self.mode, self.landed = AutopilotMode.HOLD, LandedState.IN_AIR
                     self.position = (self.position[0], self.position[1], self.position[2] + height_m)
 

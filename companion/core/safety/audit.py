@@ -12,6 +12,7 @@ from enum import StrEnum
 
 from companion.core.autopilot import Judgement, ParameterRule
 from companion.core.autopilot import Verdict as Verdict
+from companion.core.safety.fleet_checks import NO_ALTITUDE, SET_ORIGIN
 from companion.types.notices import Code
 from companion.types.values import Vector3
 
@@ -60,6 +61,7 @@ class Facts:
     failing_checks: str | None = None
     position_check: PositionCheck | None = None
     position_enu_m: Vector3 | None = None
+    lacks_altitude: bool = False  # with a position, but without the altitude that its take-off needs
     home: FoundHome | None = None  # of a vehicle on the ground with a position
     battery_percent: float | None = None
     round_trip_s: float | None = None
@@ -108,6 +110,9 @@ def _findings(facts: Facts) -> Iterator[AuditFinding]:
         yield _checks(facts.failing_checks)
     if facts.position_check is not None:
         yield _position(facts.position_check, facts.position_enu_m)
+    if facts.lacks_altitude:
+        wanted = "an origin (GPS_GLOBAL_ORIGIN)"
+        yield AuditFinding("take-off", Verdict.REFUSAL, Code.ALTITUDE_UNKNOWN, NO_ALTITUDE, wanted, SET_ORIGIN)
     if facts.home is not None:
         yield _home(facts.home)
     if facts.battery_percent is not None:

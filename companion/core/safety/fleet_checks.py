@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from math import dist, hypot, inf, sqrt
 
-from companion.types.autopilot import PositionError, VehicleState
+from companion.types.autopilot import AutopilotKind, PositionError, VehicleState
 from companion.types.commands import CommandName
 from companion.types.flight import ON_GROUND, RULES, FlightPhase, Role
 from companion.types.formation import FlownSlot
@@ -19,6 +19,10 @@ from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
 from companion.types.values import Place, Vector3
 
+NO_ALTITUDE = "the autopilot has no origin, and takes off to an altitude above sea level"
+SET_ORIGIN = (
+    "wait for the position fix; indoors set the origin once after its start (SET_GPS_GLOBAL_ORIGIN, altitude 0)"
+)
 FORMED = frozenset({FlightPhase.ENGAGE, FlightPhase.FORMATION})
 REFUSED_BELOW_SIGMAS = 3.0
 WARNED_BELOW_SIGMAS = 6.0  # at 5.2 four vehicles once came within 0.12 m of each other
@@ -46,6 +50,7 @@ class FleetChecks:
     slots_have_height: bool
     ground_spread_m: float
     separation_m: float  # horizontal, of any two vehicles on the ground
+    take_off_by_altitude: frozenset[AutopilotKind] = frozenset()  # these need to know it
 
     def judge(
         self, name: CommandName, vehicle: VehicleState, slot: FlownSlot, peers: Collection[PeerPacket], role: Role
@@ -67,8 +72,19 @@ class FleetChecks:
 
     def lacks(self, vehicle: VehicleState, peers: Collection[PeerPacket]) -> tuple[Notice, ...]:
         """The reasons why the vehicle must not leave the ground, each with its subject first."""
-        found = (self._altitudes_differ(vehicle.position_enu_m[2], peers), self._too_near(vehicle, peers))
+        found = (
+            self._altitude_missing(vehicle),
+            self._altitudes_differ(vehicle.position_enu_m[2], peers),
+            self._too_near(vehicle, peers),
+        )
         return tuple(filter(None, found))
+
+    def _altitude_missing(self, vehicle: VehicleState) -> Notice | None:
+        """A position, but no origin: motion capture alone gives none. The take-off would be refused with the motors on."""
+        known = vehicle.altitude_amsl_m is not None or not vehicle.frame_known
+        if known or vehicle.autopilot not in self.take_off_by_altitude:
+            return None
+        return Notice(Code.ALTITUDE_UNKNOWN, f"altitude: {NO_ALTITUDE}; {SET_ORIGIN}")
 
     def warnings(self, vehicle: VehicleState, peers: Collection[PeerPacket]) -> tuple[Notice, ...]:
         """What a vehicle on the ground may take off with, though it will not return."""

@@ -116,7 +116,7 @@ def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:
         case SetMode(mode):
             flag = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
             return command_long(system_id, mavlink.MAV_CMD_DO_SET_MODE, flag, MODES[mode])
-        case TakeOff(_, height_m):
+        case TakeOff(height_m):
             # Param 7 is the height above home, the position of arming.
             return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, param7=height_m)
         case _:

@@ -25,7 +25,7 @@ from companion.core.autopilot import (
     one_of,
     with_bit,
 )
-from companion.types.autopilot import AutopilotMode, LandedState, SetMode, VehicleState
+from companion.types.autopilot import AutopilotMode, LandedState, SetMode, TakeOff, VehicleState
 from companion.types.commands import CommandName
 from companion.types.flight import ON_GROUND, FlightPhase
 from companion.types.notices import Code
@@ -44,7 +44,7 @@ def _enter_guided(_vehicle: VehicleState, _height_m: float) -> Procedure:
 def _take_off_in_guided(vehicle: VehicleState, height_m: float) -> Procedure:
     # The motors spin up for 3 s before lift-off, and restart that when the request is repeated. The mode is GUIDED before and
     # after: only the landed state shows that the climb has ended.
-    procedure = climb(vehicle, height_m, lambda v: v.mode is M.OFFBOARD and v.landed is LandedState.IN_AIR)
+    procedure = climb(vehicle, TakeOff(height_m), lambda v: v.mode is M.OFFBOARD and v.landed is LandedState.IN_AIR)
     return replace(procedure, acceptance_counts=True)
 
 
@@ -128,6 +128,7 @@ PROFILE = AutopilotProfile(
     },
     procedures=PROCEDURES | {C.PREPARE: _enter_guided, C.TAKEOFF: _take_off_in_guided, C.FORM: _enter_guided},
     flies_on_in_silence=True,  # for GUID_TIMEOUT, 3 s; then it levels and keeps its altitude, but not its position
+    takes_off_by_altitude=False,
     parameters=PARAMETERS,
     decide_in_silence=("GUID_TIMEOUT", "GUID_OPTIONS"),
 )

@@ -96,7 +96,7 @@ def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:
             return command_long(
                 system_id, mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, main, sub
             )
-        case TakeOff(altitude_amsl_m):
+        case TakeOff(_, altitude_amsl_m):
             # NaN: at the present position and heading. Param 7 is above mean sea level.
             return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan, nan, nan, param7=altitude_amsl_m)
         case _:

@@ -28,7 +28,7 @@ from companion.core.autopilot import (
     one_of,
     with_bit,
 )
-from companion.types.autopilot import AutopilotMode, SetMode, VehicleState
+from companion.types.autopilot import AutopilotMode, SetMode, TakeOff, VehicleState
 from companion.types.commands import CommandName
 from companion.types.flight import ON_GROUND, FlightPhase
 from companion.types.notices import Code
@@ -50,7 +50,9 @@ def _enter_offboard(_vehicle: VehicleState, _height_m: float) -> Procedure:
 
 
 def _take_off(vehicle: VehicleState, height_m: float) -> Procedure:
-    return climb(vehicle, height_m, mode_is(M.HOLD))
+    if vehicle.altitude_amsl_m is None:
+        raise ValueError("the autopilot's altitude above sea level is unknown")
+    return climb(vehicle, TakeOff(height_m, vehicle.altitude_amsl_m + height_m), mode_is(M.HOLD))
 
 
 def _offboard_timeout(seconds: float) -> Judgement:
@@ -167,6 +169,7 @@ PROFILE = AutopilotProfile(
     },
     procedures=PROCEDURES | {C.PREPARE: _hold_on_ground, C.TAKEOFF: _take_off, C.FORM: _enter_offboard},
     flies_on_in_silence=False,  # COM_OF_LOSS_T after the last setpoint its own failsafe acts
+    takes_off_by_altitude=True,
     parameters=PARAMETERS,
     decide_in_silence=("COM_OF_LOSS_T", "COM_OBL_RC_ACT"),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent_on_bytes import ARDUPILOT, BOTH, IN_ORDER, PX4, FlightOnBytes
+from agent_on_bytes import ARDUPILOT, BOTH, IN_ORDER, PX4, TAKEOFF_M, FlightOnBytes
 from common import code_of, codes_of
 from companion.core.estimation.wind import DisturbanceObserver
 from companion.core.preflight import ASK_PERIOD_S, REFRESH_PERIOD_S, WINDOW_S, Preflight, Survey
@@ -215,3 +215,24 @@ def test_failed_arming_checks_are_named() -> None:
     assert survey.failing_checks == "Preflight Fail: no GPS"
     survey.update(0.3, [SystemSample(0.3, 79.0, may_arm=True)])
     assert survey.failing_checks == ""
+
+
+@BOTH
+def test_indoors_px4_is_not_armed_without_an_origin_and_arducopter_takes_off(kind: AutopilotKind) -> None:
+    """Motion capture gives a local position alone."""
+    flight = FlightOnBytes(kind)
+    flight.autopilot.withheld = ("GPS_GLOBAL_ORIGIN",)
+    flight.ticks(1.0)
+    if kind is ARDUPILOT:
+        assert flight.fly_to(P.HOLD).autopilot.up_m == TAKEOFF_M
+        return
+    flight.do(C.PREPARE)
+    flight.tick(C.ARM)
+    accepted, code, reason = flight.replies[-1]
+    assert (accepted, code) == (False, Code.ALTITUDE_UNKNOWN)
+    assert "SET_GPS_GLOBAL_ORIGIN" in reason
+    assert flight.status is not None
+    assert Code.ALTITUDE_UNKNOWN in [notice.code for notice in flight.status.safety.lacks]
+    flight.autopilot.withheld = ()
+    flight.ticks(1.1)
+    assert flight.fly_to(P.HOLD).autopilot.up_m == TAKEOFF_M

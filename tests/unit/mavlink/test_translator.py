@@ -214,10 +214,10 @@ def test_attitude_target_is_encoded_in_ned() -> None:
 
 def test_commands_are_addressed_to_the_autopilot() -> None:
     translator = Translator(3, AutopilotKind.PX4)
-    for request in (Arm(), TakeOff(490.5, 2.5), RequestOrigin()):
+    for request in (Arm(), TakeOff(2.5, 490.5), RequestOrigin()):
         message = to_autopilot(translator.request(request))
         assert (message.target_system, message.target_component) == (3, 1)  # type: ignore[attr-defined]
-    takeoff = to_autopilot(translator.request(TakeOff(490.5, 2.5)))
+    takeoff = to_autopilot(translator.request(TakeOff(2.5, 490.5)))
     assert takeoff.param7 == pytest.approx(490.5)  # type: ignore[attr-defined]
     assert isnan(takeoff.param5)  # type: ignore[attr-defined]
 

@@ -177,6 +177,7 @@ def test_vehicle_in_order_has_no_findings() -> None:
         (replace(BENCH, position_check=PositionCheck.UNKNOWN), "origin", REFUSAL),
         (replace(BENCH, position_check=PositionCheck.NO_ORIGIN), "origin", REFUSAL),
         (replace(BENCH, position_check=PositionCheck.OUTSIDE), "origin", REFUSAL),
+        (replace(BENCH, lacks_altitude=True), "take-off", REFUSAL),
         (replace(BENCH, home=FoundHome(1.5, 1.5)), "home", WARNING),
         (replace(BENCH, home=FoundHome(None, 1.5)), "home", WARNING),
         (replace(BENCH, home=FoundHome(0.4, 1.5, "rally points")), "home", WARNING),

@@ -1,11 +1,13 @@
 """Checks of the fleet: altitudes on the ground, slot distances against reported position errors."""
 
+import dataclasses
+
 import pytest
 from msgspec.structs import replace
 
 from common import SLOTS, code_of, slot_peer, with_fields
 from companion.core.safety.fleet_checks import FleetChecks
-from companion.types.autopilot import PositionError, VehicleState
+from companion.types.autopilot import AutopilotKind, PositionError, VehicleState
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
@@ -28,6 +30,24 @@ def test_takeoff_is_refused_when_altitudes_differ(name: CommandName) -> None:
     refusal, _ = CHECKS.judge(name, vehicle(0.3), OWN, [slot_peer(1, 0.0), slot_peer(3, 1.4)], Role.FOLLOWER)
     assert code_of(refusal) is Code.ALTITUDES_DIFFER
     assert "vehicle 3 is 1.4 m above vehicle 1" in refusal.text
+
+
+@pytest.mark.parametrize("name", [CommandName.ARM, CommandName.TAKEOFF])
+@pytest.mark.parametrize("kind", list(AutopilotKind))
+def test_a_vehicle_without_the_altitude_that_its_take_off_needs_is_not_armed(
+    name: CommandName, kind: AutopilotKind
+) -> None:
+    checks = dataclasses.replace(CHECKS, take_off_by_altitude=frozenset({AutopilotKind.PX4}))
+    indoors = VehicleState(autopilot=kind, frame_known=True)
+    refusal, _ = checks.judge(name, indoors, OWN, [], Role.FOLLOWER)
+    if kind is AutopilotKind.ARDUPILOT:
+        assert refusal is None
+    else:
+        assert code_of(refusal) is Code.ALTITUDE_UNKNOWN
+        assert "indoors set the origin once" in refusal.text
+        assert checks.lacks(indoors, []) == (refusal,)
+    with_origin = VehicleState(autopilot=kind, frame_known=True, altitude_amsl_m=0.0)
+    assert checks.judge(name, with_origin, OWN, [], Role.FOLLOWER) == (None, None)
 
 
 @pytest.mark.parametrize(
