@@ -20,7 +20,7 @@ SCENARIO = ROOT / "config" / "scenarios" / "leaving.yaml"
     ],  # PX4 sends an agent no texts
 )
 def test_a_vehicle_whose_autopilot_reports_a_failsafe_lands(kind: AutopilotKind, words: str) -> None:
-    failsafe = "{vehicle: 3, at_s: 30, until_s: 31}"
+    failsafe = "{vehicle: 3, at_s: 30, until_s: 50}"
     fleet = CommandedFlight(SCENARIO, f"stand_in.autopilot={kind}", f"stand_in.failsafes=[{failsafe}]")
     fleet.go_on(30.5 - fleet.lockstep.now_s())
     assert HealthFlag.FAILSAFE_ACTIVE in fleet.newest[3].safety.flags

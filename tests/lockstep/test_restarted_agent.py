@@ -145,6 +145,10 @@ def test_it_holds_and_forms_by_command_as_a_follower(make: AutopilotKind) -> Non
     flight.until_s(ENDS_S + 5.0)
     flight.give(CommandName.HOLD, 1)
     flight.until(1, FlightPhase.HOLD)
+    while flight.newest[
+        1
+    ].safety.flags:  # until the next HEARTBEAT PX4 seems to be in the failsafe that the hold has ended
+        flight.go_on(0.02)
     flight.give(CommandName.FORM, 1)
     flight.until(1, FlightPhase.FORMATION)
     flight.go_on(6.0)

@@ -225,12 +225,16 @@ class VehicleTracker:
             self._fields.pop("position_time_s", None)
 
     def _fold_mode(self, sample: ModeSample) -> None:
+        if sample.name != self._fields.get("mode_name") and not self._failsafe_text:
+            self._fields["failsafe_s"] = -inf  # a new mode may end it; the next HEARTBEAT tells
         self._fields.update(mode=sample.mode, mode_name=sample.name, mode_time_s=sample.received_s)
 
     def _fold_heartbeat(self, sample: HeartbeatSample) -> None:
         self._fields.update(autopilot=sample.autopilot, armed=sample.armed, heartbeat_time_s=sample.received_s)
         if sample.critical:
             self._report_failsafe(sample.received_s, "")
+        elif not self._failsafe_text:
+            self._fields["failsafe_s"] = -inf
 
     def _fold_text(self, sample: TextSample) -> None:
         if sample.failsafe:
@@ -243,7 +247,7 @@ class VehicleTracker:
         lasts = received_s - self._fields.get("failsafe_s", -inf) < FAILSAFE_STAYS_S
         self._fields["failsafe_s"] = received_s
         if not lasts or (text and text != self._failsafe_text):
-            self._failsafe_text = text
+            self._failsafe_text = text  # what a text has begun lasts for its time, whatever HEARTBEAT says
             self._events.append(Notice(Code.FAILSAFE_ACTIVE, f"the autopilot: {text or 'MAV_STATE_CRITICAL'}"))
 
     def _fold_landed(self, sample: LandedSample) -> None:

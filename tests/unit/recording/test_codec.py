@@ -71,7 +71,7 @@ def test_numbers_that_are_not_finite_are_null_and_named() -> None:
         "now_s": 1.0,
         "telemetry": [
             ["EstimatorSample", 1.0, None, None, True, "not_reported"],
-            ["TextSample", 1.0, 4, "null"],
+            ["TextSample", 1.0, 4, "null", False],
             ["ParameterSample", 1.0, "P", None],
         ],
         "late_s": 0.0,

@@ -44,6 +44,7 @@ def test_a_vehicle_file_that_accepts_an_uncontrolled_descent_makes_its_refusal_a
     agent, session = config(), DoctorSession.__new__(DoctorSession)  # without its sockets
     vehicle = replace(agent.vehicle, accept_uncontrolled_descent=accepts)
     session.config = AgentConfig(vehicle, agent.fleet, agent.member)
+    session.link = SimpleNamespace(round_trip_s=0.001)  # type: ignore[assignment]
     session.tracker = SimpleNamespace(state=VehicleState(autopilot=AutopilotKind.PX4))  # type: ignore[assignment]
     session.parameters = Parameters(loss_action)  # type: ignore[assignment]
     diagnosis = asyncio.run(session.diagnose())
