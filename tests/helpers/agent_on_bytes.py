@@ -77,10 +77,16 @@ class AutopilotOnBytes:
         self.targets: list[MavlinkMessage] = []
         self._codec = MavlinkCodec(3, 1)
         self._ticks = 0
+        self.now_s = 0.0  # its clock
+
+    def send_at(self, now_s: float) -> bytes:
+        """What it sends at this time."""
+        self.now_s = now_s
+        return self.send()
 
     def send(self) -> bytes:
         """50 Hz; PX4's HEARTBEAT once a second."""
-        boot_ms = 20 * self._ticks
+        boot_ms = round(1000 * self.now_s)
         messages, self.queued = self.queued, []
         messages.append(M.MAVLink_attitude_quaternion_message(boot_ms, 1, 0, 0, 0, 0, 0, 0))
         messages.append(M.MAVLink_extended_sys_state_message(0, self.landed))
@@ -186,7 +192,7 @@ class FlightOnBytes:
 
     def tick(self, *names: CommandName) -> None:
         self.now_s += 0.02
-        telemetry = tuple(self.translator.telemetry(self.autopilot.send(), self.now_s))
+        telemetry = tuple(self.translator.telemetry(self.autopilot.send_at(self.now_s), self.now_s))
         commands = tuple(Command(name, self.next_number(), "anna@ground", 1) for name in names)
         outbox = self.agent.step(self.now_s, Inbox(telemetry, (), commands, self.stopping))
         if outbox.attitude_target:
@@ -316,7 +322,7 @@ class FailingFlight:
         self.now_s += PERIOD_S
         if self.ended_s is not None:
             return
-        self.link.telemetry += tuple(self.translator.telemetry(self.autopilot.send(), self.now_s))
+        self.link.telemetry += tuple(self.translator.telemetry(self.autopilot.send_at(self.now_s), self.now_s))
         self.peers.commands = tuple(Command(name, self._flight.next_number(), "anna@ground", 1) for name in names)
         if self.failed_s is not None:
             ended = self.loop.hand_over(self.now_s)
