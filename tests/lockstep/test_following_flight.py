@@ -48,7 +48,7 @@ def test_a_refused_reference_compresses_the_formation_and_the_named_pace_does_no
     reference: Reference, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     filter_by = "companion.core.filter.filter.filter_acceleration"
-    monkeypatch.setattr(filter_by, lambda wanted, _spaces, _limits: wanted)  # the law alone
+    monkeypatch.setattr(filter_by, lambda wanted, *_: wanted)  # the law alone
     scenario = flown_by(reference, REFUSED_S)
     (problem,) = flyable_problems(scenario.fleet, reference)
     separation_m = scenario.fleet.separation_m
