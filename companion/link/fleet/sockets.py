@@ -19,6 +19,7 @@ import socket
 import struct
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 # A silent connection is closed after zenoh_session.LEASE_MS at the earliest.
@@ -43,12 +44,25 @@ def keep_from_lingering() -> None:
         threading.Thread(target=_look, name="lingering", daemon=True).start()
 
 
+@contextlib.contextmanager
+def second_name(number: int) -> Iterator[socket.socket]:
+    """The socket with this file number by another one: nothing of Zenoh is closed with it. Raises OSError for no socket."""
+    copy = os.dup(number)
+    try:
+        opened = socket.socket(fileno=copy)
+    except OSError:
+        os.close(copy)
+        raise
+    with opened:
+        yield opened
+
+
 def hold_silent_connections() -> None:
     """At all sockets on which this process accepts connections now. Without /proc nothing is done."""
     if not OPEN_FILES.is_dir():
         return
     for entry in OPEN_FILES.iterdir():
-        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(int(entry.name))) as listener:
+        with contextlib.suppress(OSError), second_name(int(entry.name)) as listener:
             if listener.proto == socket.IPPROTO_TCP and listener.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
                 listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, SAYS_NOTHING_S)
                 listener.listen(WAITING)
@@ -82,7 +96,7 @@ def stop_lingering(done: set[str]) -> set[str]:
 
 def _stopped(number: int) -> bool:
     """Whether this file is a TCP connection that lingered until now. Raises OSError."""
-    with socket.socket(fileno=os.dup(number)) as connection:  # a second name: nothing of Zenoh is closed with it
+    with second_name(number) as connection:
         if connection.proto != socket.IPPROTO_TCP:
             return False
         on, _ = LINGER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, LINGER.size))

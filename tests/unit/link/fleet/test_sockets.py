@@ -1,17 +1,17 @@
 """Connections that linger when they are closed, and those that say nothing, over real sockets of this process."""
 
-import os
 import socket
 import struct
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, suppress
+from pathlib import Path
 
 import pytest
 
 from common import until
-from companion.link.fleet.sockets import OPEN_FILES, stop_lingering
+from companion.link.fleet.sockets import OPEN_FILES, hold_silent_connections, second_name, stop_lingering
 from companion.link.fleet.zenoh_session import open_session
 from processes import free_port
 
@@ -72,7 +72,7 @@ def test_no_connection_of_a_session_lingers(stack: ExitStack) -> None:
     first = stack.enter_context(closing(open_session((endpoint,), ())))
     stack.enter_context(closing(open_session((), (endpoint,))))
     until(lambda: first.info.links())
-    until(lambda: not any(map(lingers, connections(stack))), each=lambda: time.sleep(0.1))
+    until(lambda: not any(of_connections(lingers)), each=lambda: time.sleep(0.1))
 
 
 def test_a_session_takes_no_connection_that_says_nothing(stack: ExitStack) -> None:
@@ -82,20 +82,26 @@ def test_a_session_takes_no_connection_that_says_nothing(stack: ExitStack) -> No
         stack.enter_context(socket.create_connection(("127.0.0.1", port)))
     stack.enter_context(closing(open_session((), (f"tcp/127.0.0.1:{port}",))))
     until(lambda: session.info.links())
-    taken = [one for one in connections(stack) if one.getsockname()[1] == port and not listens(one)]
-    assert len(taken) == 1
+    assert of_connections(lambda one: one.getsockname()[1] == port and not listens(one)).count(True) == 1
+
+
+def test_nothing_stays_open_that_was_looked_at(tmp_path: Path) -> None:
+    with (tmp_path / "file").open("w"):
+        before = len(list(OPEN_FILES.iterdir()))
+        hold_silent_connections()
+        stop_lingering(set())
+        until(lambda: len(list(OPEN_FILES.iterdir())) <= before)
 
 
 def listens(one: socket.socket) -> bool:
     return bool(one.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN))
 
 
-def connections(stack: ExitStack) -> list[socket.socket]:
-    """Those of this process, each by a second name."""
-    found = []
-    for entry in OPEN_FILES.iterdir():
-        with suppress(OSError):
-            one = stack.enter_context(socket.socket(fileno=os.dup(int(entry.name))))
+def of_connections(ask: Callable[[socket.socket], bool]) -> list[bool]:
+    """The answers for the TCP sockets of this process, each by a second name."""
+    answers = []
+    for entry in list(OPEN_FILES.iterdir()):
+        with suppress(OSError), second_name(int(entry.name)) as one:
             if one.proto == socket.IPPROTO_TCP:
-                found.append(one)
-    return found
+                answers.append(ask(one))
+    return answers
