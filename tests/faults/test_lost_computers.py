@@ -190,7 +190,7 @@ def gaps_s(recordings: Path, sender: int, begin_unix_s: float, end_unix_s: float
         messages = NonSeekingReader(BytesIO(file.read_bytes())).iter_messages(topics=["/inbox"], log_time_order=False)
         for _, _, message in messages:
             at_s = message.log_time / 1e9
-            senders = [packet[0] for _, packet in msgspec.json.decode(message.data).get("peers", [])]
+            senders = [packet[0] for _, packet, *_ in msgspec.json.decode(message.data).get("peers", [])]
             if sender in senders and begin_unix_s < at_s < end_unix_s:
                 times.append(at_s)
     return [b - a for a, b in pairwise([*times, end_unix_s])]
