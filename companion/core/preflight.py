@@ -41,8 +41,7 @@ TRIES = 8  # an autopilot does not answer for a parameter that it lacks
 class Fitness(Struct, frozen=True, gc=False):
     """Result of the audit: `refusal` of a flight in formation, and what a vehicle on the ground lacks for it.
 
-    `warnings` are the findings with which it may fly. `events` report the findings once. `returns_elsewhere` is why the
-    autopilot's return may not end at its home, "" where it does.
+    `warnings` are the findings with which it may fly. `events` report the findings once.
     """
 
     refusal: Notice | None
@@ -50,7 +49,6 @@ class Fitness(Struct, frozen=True, gc=False):
     battery_percent: float | None
     warnings: tuple[Notice, ...] = ()
     events: tuple[Notice, ...] = ()
-    returns_elsewhere: str = ""
 
 
 class Preflight:
@@ -90,7 +88,6 @@ class Preflight:
                     self._observer.start_from(sample.value)
         if self._fitness is None:
             self._fitness = self._judged()
-            self.returns_elsewhere = self._fitness.returns_elsewhere
         if self._reported or not self._names or self._unread():
             return self._fitness
         self._reported = True
@@ -126,21 +123,14 @@ class Preflight:
     def _judged(self) -> Fitness:
         """A parameter without an answer counts as missing."""
         if self._autopilot is None:
-            return Fitness(
-                AUTOPILOT_UNKNOWN, (AUTOPILOT_UNKNOWN,), self.battery_percent, returns_elsewhere=AUTOPILOT_UNKNOWN.text
-            )
+            return Fitness(AUTOPILOT_UNKNOWN, (AUTOPILOT_UNKNOWN,), self.battery_percent)
         findings = self._findings()
         refusals = [_notice(finding) for finding in findings if finding.verdict is Verdict.REFUSAL]
         warnings = [_notice(finding) for finding in findings if finding.verdict is Verdict.WARNING]
         refusal = Notice(Code.AUDIT_REFUSAL, "; ".join(notice.text for notice in refusals)) if refusals else None
         unread = self._unread()
-        return Fitness(
-            refusal,
-            self._lacks(refusals),
-            self.battery_percent,
-            () if unread else tuple(warnings),
-            returns_elsewhere=self._returns_elsewhere(findings, unread),
-        )
+        self.returns_elsewhere = self._returns_elsewhere(findings, unread)
+        return Fitness(refusal, self._lacks(refusals), self.battery_percent, () if unread else tuple(warnings))
 
     def _returns_elsewhere(self, findings: Iterable[AuditFinding], unread: Collection[str]) -> str:
         """By the parameters that select where a return ends."""

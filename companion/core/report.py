@@ -89,9 +89,8 @@ class ReportStage:
         now_s, separation = decided.now_s, decided.setpoint.separation
         events = decided.intake.events + decided.fitness.events + decided.consensus.events
         events += decided.flight.events + decided.guidance.events + decided.safety.events
-        events += (
-            decided.perception.events
-        )  # the last one stays in the status: the autopilot's words name the cause of a flag
+        # The last one stays in the status: the autopilot's words name the cause of a flag.
+        events += decided.perception.events
         if separation.changed_m_s2 > 0.0:
             events += self._interventions.step(now_s, separation)
         if events:

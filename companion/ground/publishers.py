@@ -44,7 +44,7 @@ class TargetPublisher(GroundConnection):
 
 @dataclass(frozen=True, slots=True)
 class HeightReference:
-    """What a reported altitude refers to: altitude above mean sea level = altitude + `add_m`; None where nobody knows."""
+    """What a reported altitude refers to: altitude above mean sea level = altitude + `add_m`; None if it is unknown."""
 
     add_m: float | None
 

@@ -19,7 +19,8 @@ REBOOT_S = 1.0  # a time_boot_ms that decreases by more is a reboot
 # PX4's clock runs 1 to 2 % slow. Without new answers the delay may seem to grow by this share.
 CLOCK_ERROR = 0.02
 WINDOW_S = 1.0  # of two windows the smallest difference counts where TIMESYNC is not answered
-LONGEST_BOOT_S = 1e9
+SILENT_S = 10.0  # so long without an answer, and TIMESYNC counts as not answered
+OTHER_CLOCK_S = 60.0  # an answer so far from the last position is of another clock than time_boot_ms
 
 
 class AutopilotClock:
@@ -48,9 +49,9 @@ class AutopilotClock:
         return self._waiting_ns[-1]
 
     def receive_answer(self, ts1_ns: int, tc1_ns: int, received_s: float) -> None:
-        """TIMESYNC with its two times. What answers no request of this end is ignored."""
+        """TIMESYNC with its two times. What answers no request of this end, or by another clock, is ignored."""
         boot_s = tc1_ns / 1e9
-        if ts1_ns not in self._waiting_ns or not 0.0 < boot_s < LONGEST_BOOT_S:
+        if ts1_ns not in self._waiting_ns or abs(boot_s - self._boot_s) > OTHER_CLOCK_S:
             return
         self._waiting_ns.remove(ts1_ns)
         self.exchange(ts1_ns / 1e9, boot_s, received_s)
@@ -66,6 +67,8 @@ class AutopilotClock:
             self.restart()
         self._boot_s = boot_s
         ahead_s = received_s - boot_s
+        if received_s - self._answered_s > SILENT_S:
+            self._exchanges.clear()
         if self._exchanges:
             late_s = ahead_s - self._ahead_s - CLOCK_ERROR * (received_s - self._answered_s)
         else:

@@ -44,7 +44,7 @@ MODES = {
     20: "precision land",
 }
 BATTERY = ("", "low battery level", "critical battery level", "emergency battery level", "battery failed")
-# Always set where nobody uses them: no cause, unless they have just come
+# Set in every flight that does not use them: no cause, unless they have just been raised
 OFTEN_SET = frozenset(
     {"auto_mission_missing", "home_position_invalid", "offboard_control_signal_lost", "manual_control_signal_lost"}
 )
@@ -145,7 +145,7 @@ def _told(events: TopicRows) -> Iterator[_Told]:
     names = [name for i in range(25) if (name := f"arguments[{i}]") in events.columns]
     for row, time_s in enumerate(events.time_s):
         layout = BY_ID.get(int(events.columns["id"][row]))
-        # A number of another version: whoever reads it looks whether it came with a failsafe.
+        # An event of another PX4 version: `failsafes_of` uses it only beside a failsafe in `vehicle_status`.
         if layout is None and int(events.columns["log_levels"][row]) & 0x0F > CRITICAL:
             continue
         arguments = bytes(int(events.columns[name][row]) & 0xFF for name in names)

@@ -81,6 +81,8 @@ NOT_MODELLED = dict.fromkeys(
         "stand_in.refusals",
         "stand_in.position_losses",
         "stand_in.failsafes",
+        "stand_in.homes",
+        "stand_in.rally_points",
     ),
     "sitl run or sitl fly",
 ) | dict.fromkeys(("agent_ends", "links.partitions", "links.late_telemetry"), "sitl run")

@@ -131,7 +131,7 @@ class Order:
         return answers
 
     def _renew_if_over(self) -> None:
-        """Give a change anew whose begin has passed without a vehicle that flies it: all have cancelled or refused it."""
+        """Give a change again whose begin has passed without a vehicle that flies it: all have cancelled or refused it."""
         content, statuses = self._content, self._watch.statuses()
         if not isinstance(content, FormationChange | ReferenceChange) or self._step.command not in EXPIRING:
             return

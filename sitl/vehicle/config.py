@@ -160,7 +160,7 @@ class ReportedFailsafe(Section, frozen=True):
 
 
 class HomeSet(Section, frozen=True):
-    """A ground station sets the home of one autopilot (MAV_CMD_DO_SET_HOME); arming sets it anew.
+    """A ground station sets the home of one autopilot (MAV_CMD_DO_SET_HOME); arming sets it again.
 
     position_enu_m: the home in the world frame
     """

@@ -99,7 +99,7 @@ class AgentFlight:
         self.peer_position: Vector3 | None = (0.0, 0.0, 1.0)
         self.outbox = Outbox()
         self.sends_origin = True
-        self.home: Vector3 = self.position  # set anew while the vehicle is on the ground
+        self.home: Vector3 = self.position  # follows the vehicle while that is on the ground
         self.parameters = dict(PARAMETERS)
         self.battery_percent = 90.0
         self.withheld: tuple[type, ...] = ()

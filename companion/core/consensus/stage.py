@@ -233,10 +233,8 @@ class ConsensusStage:
         """
         events: tuple[Notice, ...] = ()
         for peer in peers:
-            newer = (
-                self.leadership.term < peer.term and peer.term[0] <= epochs_up_to
-            )  # a command may just have lowered it
-            if newer and peer.proven:
+            # A command may just have lowered `epochs_up_to`.
+            if peer.proven and self.leadership.term < peer.term and peer.term[0] <= epochs_up_to:
                 events += self.leadership.receive(now_s, [peer.packet.leader.beacon])
         return events
 

@@ -38,9 +38,8 @@ from companion.types.peers import ReceivedTraffic
 from companion.types.status import SeparationReport
 from companion.types.values import Vector3
 
-PRESSED_STEPS = (
-    15  # active-set steps where another vehicle presses for long: it, fence and limits contradict each other
-)
+# Active-set steps where another vehicle presses for long: it, fence and limits contradict each other.
+PRESSED_STEPS = 15
 WORSE_M_S2 = 1.0  # a turn may miss the constraints of a rank by so much more
 TURN_STEPS = 3  # active-set steps for the second solution, with the turn to the right
 

@@ -21,6 +21,10 @@ class Autopilot:
         self._clock, self._slow, self._answers = AutopilotClock(), slow, answers
         self._now_s = BOOTED_S + 5.0
 
+    def falls_silent(self) -> None:
+        """From now on it does not answer TIMESYNC."""
+        self._answers = False
+
     def late_s(self, for_s: float, down_s: float, up_s: float = 0.001) -> float:
         """The largest age of a position in this time."""
         ages_s = [self._step(number, down_s, up_s) for number in range(round(for_s * 50))]
@@ -81,6 +85,22 @@ def test_after_a_reboot_nothing_of_the_old_clock_counts() -> None:
     assert clock.round_trip_s is None
 
 
+def test_an_answer_by_another_clock_than_that_of_the_positions_is_ignored() -> None:
+    clock = AutopilotClock()
+    clock.late_s(51.0, 101.0)
+    clock.receive_answer(clock.request(101.0), 1_800_000_000 * 10**9, 101.001)  # since 1970
+    assert clock.round_trip_s is None
+    assert clock.late_s(51.02, 101.02) == 0.0
+
+
+def test_without_answers_for_long_a_delay_that_grows_counts_by_the_positions() -> None:
+    autopilot = Autopilot()
+    autopilot.late_s(3.0, down_s=0.002)
+    autopilot.falls_silent()
+    autopilot.late_s(60.0, down_s=0.002)
+    assert autopilot.late_s(0.5, down_s=0.3) == pytest.approx(0.3, abs=0.02)
+
+
 @given(ts1=st.integers(-(2**63), 2**63 - 1), tc1=st.integers(-(2**63), 2**63 - 1))
 def test_an_answer_to_no_request_changes_nothing(ts1: int, tc1: int) -> None:
     translator = Translator(3, AutopilotKind.PX4)
@@ -107,6 +127,7 @@ def test_whatever_time_an_answer_has_the_age_is_finite(tc1: int) -> None:
 def test_the_agents_request_can_be_answered() -> None:
     translator = Translator(3, AutopilotKind.PX4)
     autopilot = MavlinkCodec(3, 1)
+    translator.telemetry(autopilot.encode(mavlink.MAVLink_local_position_ned_message(1900, *6 * (0.0,))), 9.9)
     (request,) = autopilot.decode(translator.time_request(10.0))
     assert (request.get_type(), request.tc1) == ("TIMESYNC", 0)
     translator.telemetry(autopilot.encode(mavlink.MAVLink_timesync_message(2 * 10**9, request.ts1)), 10.4)
