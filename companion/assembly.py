@@ -43,6 +43,7 @@ from companion.core.reference.heading import CourseHeading
 from companion.core.reference.plan import LiveReference, ReferencePlan, Rft
 from companion.core.reference.target import Box, TargetLimits
 from companion.core.report import ReportStage
+from companion.core.safety.audit import FleetFence
 from companion.core.safety.failsafe import FailsafeSettings, HealthLimits, limit_of
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.core.safety.limits import OutputLimits
@@ -92,7 +93,7 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
     return Agent(
         vehicle_id=member.id,
         perception=tracker_of(fleet),
-        preflight=Preflight(observer, PROFILES, vehicle.accept_uncontrolled_descent),
+        preflight=Preflight(observer, PROFILES, vehicle.accept_uncontrolled_descent, fleet_fence_of(fleet)),
         phases=PhaseMachine(fleet.takeoff_height_m, PROFILES),
         arbitration=CommandArbitration(session),
         consensus=_consensus(fleet, member.id, identity.formation_hash),
@@ -103,6 +104,14 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
         distant_peers=_distant_peers(fleet, member.id) if fleet.has_distant_peers else None,
         reporter=ReportStage(identity, law_of(law), checks),
     )
+
+
+def fleet_fence_of(fleet: FleetConfig) -> FleetFence:
+    """What the autopilots' own fences must leave room for. Heights are above the take-off, or the origin near it."""
+    envelope = fleet.envelope
+    (x, y, _), (far_x, far_y, ceiling_m) = envelope.fence_min_enu_m, envelope.fence_max_enu_m
+    corners = envelope.fence_corners_enu_m or ((x, y), (x, far_y), (far_x, far_y), (far_x, y))
+    return FleetFence(tuple(corners), ceiling_m, fleet.takeoff_height_m)
 
 
 def _failsafes(fleet: FleetConfig) -> FailsafeSettings:

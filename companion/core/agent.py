@@ -80,7 +80,7 @@ class Agent:
         last, last_guidance = self._flight, self._last_guidance
         perception = self.perception.step(now_s, inbox.telemetry, last, self.preflight.returns_elsewhere)
         vehicle = perception.vehicle
-        fitness = self.preflight.step(now_s, inbox.telemetry, vehicle.autopilot)
+        fitness = self.preflight.step(now_s, inbox.telemetry, vehicle.autopilot, vehicle.home_enu_m)
         before = self.phases.observe(now_s, vehicle)
         intake = self.arbitration.step(inbox.commands) if inbox.commands else self.arbitration.idle
         refusal_to_lead = last_guidance.refusal_to_lead

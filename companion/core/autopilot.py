@@ -151,11 +151,24 @@ class Judgement:
     acceptable: bool = False
 
 
+Values = Mapping[str, float | None]
+"""Parameters by name; None where there is no answer."""
+
+
+class FenceSide(Enum):
+    """What a parameter of the autopilot's fence limits, in metres from home."""
+
+    RADIUS = "around home"
+    CEILING = "above home"
+
+
 @dataclass(frozen=True, slots=True)
 class ParameterRule:
     """Rule for one parameter. With `judge` None it is compared with the hover thrust of the vehicle file.
 
     `safe` gives the value that may be set instead of a bad one; without it a person decides, with the help of `remedy`.
+    `applies`: whether it means anything beside these others. A `fence_side` is compared with the fleet's fence; `acts`:
+    whether the autopilot does more than report a breach.
     """
 
     name: str
@@ -166,11 +179,29 @@ class ParameterRule:
     unit: str = ""
     remedy: str = ""
     not_found: Judgement = Judgement(WARNING)
+    applies: Callable[[Values], bool] = lambda _values: True
+    fence_side: FenceSide | None = None
+    acts: Callable[[Values], bool] = lambda _values: True
 
 
 def one_of(meanings: dict[int, Judgement], otherwise: Judgement) -> Callable[[float], Judgement]:
     """Judges a value that names an action."""
     return lambda value: meanings.get(round(value), otherwise)
+
+
+def differs(name: str, *values: int) -> Callable[[Values], bool]:
+    """Whether this parameter has another value, or is not known."""
+    return lambda found: found.get(name) not in values
+
+
+def has_bit(name: str, bit: int) -> Callable[[Values], bool]:
+    """Whether this bit is set, or the parameter is not known."""
+
+    def is_set(found: Values) -> bool:
+        value = found.get(name)
+        return value is None or bool(int(value) & bit)
+
+    return is_set
 
 
 def with_bit(bit: int) -> Callable[[float], float]:
@@ -186,7 +217,7 @@ def always(value: float) -> Callable[[float], float]:
 NEAR_CONFIGURED = "near hover_thrust_norm of the vehicle file"
 HOVER = "hover the vehicle, then correct the wrong value"
 PILOTS_CHOICE = "set {} to 0, or expect each vehicle to leave the formation separately"
-WIDER_FENCE = "set {} a little wider than the fleet's fence (envelope.fence_*)"
+WIDER_FENCE = "set {} a little wider than the fleet's fence (envelope.fence_*), or make that smaller"
 
 
 ProcedureBuilder = Callable[[VehicleState, float], Procedure]

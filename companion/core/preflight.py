@@ -5,6 +5,7 @@ The agent never sets a parameter. `companion doctor` does, on the ground and aft
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter, deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import inf
@@ -14,7 +15,7 @@ from msgspec.structs import replace
 
 from companion.core.autopilot import AutopilotProfile, Profiles
 from companion.core.estimation.wind import DisturbanceObserver
-from companion.core.safety.audit import AuditFinding, Facts, Verdict, audit
+from companion.core.safety.audit import AuditFinding, Facts, FleetFence, Verdict, audit
 from companion.types.autopilot import (
     AttitudeSample,
     AutopilotKind,
@@ -28,6 +29,7 @@ from companion.types.autopilot import (
     TextSample,
 )
 from companion.types.notices import Code, Notice
+from companion.types.values import Place
 
 ASK_PERIOD_S = 0.05  # while answers are missing
 REFRESH_PERIOD_S = 0.5  # afterwards, in turn: a pilot may correct a parameter at any time
@@ -55,10 +57,15 @@ class Preflight:
     """Fitness of the vehicle. Findings that are not OK are reported once, when all parameters have been read."""
 
     def __init__(
-        self, observer: DisturbanceObserver, profiles: Profiles, accepts_uncontrolled_descent: bool = False
+        self,
+        observer: DisturbanceObserver,
+        profiles: Profiles,
+        accepts_uncontrolled_descent: bool = False,
+        fence: FleetFence | None = None,
     ) -> None:
         self._profiles = profiles
         self._accepts_uncontrolled_descent = accepts_uncontrolled_descent
+        self._fence = fence
         self._observer = observer  # begins with the hover thrust of the autopilot, once read
         self._hover_thrust_norm = observer.hover_thrust_norm  # configured in the vehicle file
         self._autopilot: AutopilotKind | None = None
@@ -72,8 +79,19 @@ class Preflight:
         self._asked_s = -inf
         self._reported = False
 
-    def step(self, now_s: float, telemetry: Sequence[Telemetry], autopilot: AutopilotKind | None) -> Fitness:
-        """Use the telemetry of this tick, from an autopilot of this type. The fitness is judged again when it may differ."""
+    def step(
+        self,
+        now_s: float,
+        telemetry: Sequence[Telemetry],
+        autopilot: AutopilotKind | None,
+        home_enu_m: Place | None = None,
+    ) -> Fitness:
+        """Use the telemetry of this tick, from an autopilot of this type and with this home.
+
+        The fitness is judged again when it may differ.
+        """
+        if self._fence is not None and home_enu_m != self._fence.home_enu_m:
+            self._fence, self._fitness = dataclasses.replace(self._fence, home_enu_m=home_enu_m), None
         if self._survey.update(now_s, telemetry):
             self._fitness = None
         if autopilot is not self._autopilot and autopilot is not None:
@@ -166,6 +184,7 @@ class Preflight:
             rates_hz=survey.rates_hz,
             battery_percent=survey.battery_percent,
             accepts_uncontrolled_descent=self._accepts_uncontrolled_descent,
+            fence=self._fence,
         )
         return audit(facts)
 

@@ -11,6 +11,7 @@ import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
+from math import isfinite
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -137,7 +138,10 @@ class Parameters:
         return {name: await self.read(name) for name in names}
 
     async def read(self, name: str) -> float | None:
-        """The value, or None after 3 s without an answer: an autopilot does not answer for an unknown parameter."""
+        """The value, or None after 3 s without an answer: an autopilot does not answer for an unknown parameter.
+
+        A value that is not a finite number counts as none.
+        """
         for is_integer, get in ((True, self._param.get_param_int), (False, self._param.get_param_float)):
             asked_s = time.monotonic()
             try:
@@ -149,7 +153,7 @@ class Parameters:
                 self._integers[name] = is_integer
                 read_s = time.monotonic() - asked_s
                 self.shortest_read_s = min(read_s, self.shortest_read_s or read_s)
-                return value
+                return value if isfinite(value) else None
         return None
 
     async def set(self, name: str, value: float) -> None:

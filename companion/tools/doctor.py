@@ -13,7 +13,7 @@ from math import dist
 from pathlib import Path
 from typing import Any
 
-from companion.assembly import check_agent, output_limits_of, tracker_of
+from companion.assembly import check_agent, fleet_fence_of, output_limits_of, tracker_of
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.preflight import WINDOW_S, Survey
@@ -208,6 +208,7 @@ class DoctorSession(Bench):
             mode_name=vehicle.mode_name,
             armed=vehicle.armed,
             accepts_uncontrolled_descent=config.vehicle.accept_uncontrolled_descent,
+            fence=replace(fleet_fence_of(config.fleet), home_enu_m=vehicle.home_enu_m),
         )
         findings = audit(facts)
         return Diagnosis(config.vehicle.id, vehicle.autopilot, config.vehicle.mavlink, worst(findings), findings)

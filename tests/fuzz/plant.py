@@ -43,7 +43,7 @@ PARAMETERS: Mapping[str, int | float] = {  # of a PX4 that the audit accepts
     "NAV_DLL_ACT": 0,
     "COM_RC_OVERRIDE": 3,
     "GF_ACTION": 2,
-    "GF_MAX_HOR_DIST": 100.0,
+    "GF_MAX_HOR_DIST": 200.0,
     "GF_MAX_VER_DIST": 50.0,
     "RTL_TYPE": 0,
     "MPC_THR_HOVER": HOVER_THRUST_NORM,

@@ -15,7 +15,7 @@ from companion.types.notices import Code
 from processes import AgentFiles, StandInProcess, agent_files, companion, stand_in
 from wire_autopilots import IN_ORDER, HoveringAutopilot
 
-CONFIGURED = {"COM_OBL_RC_ACT": 5, "COM_RC_OVERRIDE": 3, "GF_MAX_HOR_DIST": 90.0, "GF_MAX_VER_DIST": 40.0}
+CONFIGURED = {"COM_OBL_RC_ACT": 5, "COM_RC_OVERRIDE": 3, "GF_MAX_HOR_DIST": 200.0, "GF_MAX_VER_DIST": 60.0}
 
 
 ARMABLE_S = 0.5  # its checks pass this long after its start

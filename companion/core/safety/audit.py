@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from math import dist
 
-from companion.core.autopilot import Judgement, ParameterRule
+from companion.core.autopilot import FenceSide, Judgement, ParameterRule
 from companion.core.autopilot import Verdict as Verdict
 from companion.core.safety.fleet_checks import NO_ALTITUDE, SET_ORIGIN
 from companion.types.notices import Code
-from companion.types.values import Vector3
+from companion.types.values import Place, Vector3
 
 # PX4 sends CURRENT_MODE twice a second and at every change, regardless of requests; HEARTBEAT at 1 Hz alone is too slow.
 MIN_RATES_HZ = {"positions": 40.0, "attitudes": 40.0, "modes": 1.5, "landed states": 2.0}
@@ -46,6 +47,27 @@ class FoundHome:
 
 
 @dataclass(frozen=True, slots=True)
+class FleetFence:
+    """What the autopilot's own fence, a cylinder about its home, must leave room for.
+
+    `corners_enu_m` are those of the fleet's fence in the plane, `ceiling_m` is its height above the place of the take-off.
+    While the home is unknown it counts as in the middle.
+    """
+
+    corners_enu_m: tuple[Place, ...]
+    ceiling_m: float
+    takeoff_height_m: float
+    home_enu_m: Place | None = None
+
+    @property
+    def radius_m(self) -> float:
+        """From home to the farthest corner."""
+        easts, norths = zip(*self.corners_enu_m, strict=True)
+        middle = ((min(easts) + max(easts)) / 2.0, (min(norths) + max(norths)) / 2.0)
+        return max(dist(self.home_enu_m or middle, corner) for corner in self.corners_enu_m)
+
+
+@dataclass(frozen=True, slots=True)
 class Facts:
     """Facts of one vehicle. None means that the caller does not check this; it gives no finding.
 
@@ -68,6 +90,7 @@ class Facts:
     mode_name: str | None = None
     armed: bool | None = None
     accepts_uncontrolled_descent: bool = False  # set in the vehicle file
+    fence: FleetFence | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +143,7 @@ def _findings(facts: Facts) -> Iterator[AuditFinding]:
     if facts.armed is not None:
         yield _mode(facts.mode_name or "unknown", facts.armed)
     for rule in facts.rules:
-        if rule.name in facts.parameters:
+        if rule.name in facts.parameters and rule.applies(facts.parameters):
             yield _parameter(rule, facts.parameters[rule.name], facts)
 
 
@@ -214,11 +237,26 @@ def _parameter(rule: ParameterRule, value: float | None, facts: Facts) -> AuditF
         return _hover_thrust(rule, value, facts.hover_thrust_norm, wanted)
     judgement = rule.judge(value)
     found = f"{value:g} {rule.unit}".rstrip() + (f" ({judgement.meaning})" if judgement.meaning else "")
+    if judgement.verdict is Verdict.OK and rule.fence_side and facts.fence:
+        return _fence(rule, rule.fence_side, value, facts.fence, rule.acts(facts.parameters))
     if judgement.verdict is Verdict.OK:
         return AuditFinding(rule.name, Verdict.OK, None, found, wanted)
     fix = rule.safe(value) if rule.safe else None
     remedy = f"set {rule.name} to {fix:g}" if fix is not None else rule.remedy
     return AuditFinding(rule.name, _accepted(judgement, facts), rule.code, found, wanted, remedy, fix)
+
+
+def _fence(rule: ParameterRule, side: FenceSide, metres: float, fleet: FleetFence, acts: bool) -> AuditFinding:
+    """A fence of the autopilot in which the vehicle cannot take off, or that is inside the fleet's."""
+    least_m = fleet.ceiling_m if side is FenceSide.CEILING else fleet.radius_m
+    wanted = f"at least {least_m:.1f} m {side.value}, as the fleet's fence"
+    if metres >= least_m:
+        return AuditFinding(rule.name, Verdict.OK, None, f"{metres:g} m", wanted)
+    found, verdict = f"{metres:g} m (inside the fleet's fence: the autopilot stops the vehicle there)", Verdict.WARNING
+    if side is FenceSide.CEILING and metres <= fleet.takeoff_height_m:
+        found = f"{metres:g} m (not above the take-off height, {fleet.takeoff_height_m:g} m)"
+        verdict = Verdict.REFUSAL if acts else Verdict.WARNING
+    return AuditFinding(rule.name, verdict, Code.AUTOPILOT_FENCE_SMALL, found, wanted, rule.remedy)
 
 
 def _accepted(judgement: Judgement, facts: Facts) -> Verdict:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from companion.core.autopilot import (
@@ -14,12 +15,17 @@ from companion.core.autopilot import (
     REFUSAL,
     SHORTEST_TIMEOUT_S,
     WARNING,
+    WIDER_FENCE,
     AutopilotProfile,
+    FenceSide,
     Judgement,
     ParameterRule,
     Procedure,
+    Values,
     always,
     climb,
+    differs,
+    has_bit,
     mode_is,
     mode_time_s,
     one_of,
@@ -74,6 +80,31 @@ def _switch(value: float) -> Judgement:
     return Judgement(OK, "on") if value else Judgement(WARNING, "no fence")
 
 
+CEILING, CIRCLE = 1, 2  # bits of FENCE_TYPE; 4: polygons, 8: floor
+FENCE_IS_ON, ACTS_AT_FENCE = differs("FENCE_ENABLE", 0), differs("FENCE_ACTION", 0)
+
+
+def _fence_type(value: float) -> Judgement:
+    match int(value) & (CEILING | CIRCLE):
+        case 0:
+            return Judgement(WARNING, "no ceiling and no circle around home" if value else "no fence")
+        case 1:
+            return Judgement(WARNING, "no circle around home")
+        case 2:
+            return Judgement(WARNING, "no ceiling")
+    return Judgement(OK, "ceiling and circle")
+
+
+def _is_on(name: str, bit: int) -> Callable[[Values], bool]:
+    of_this_type = has_bit(name, bit)
+    return lambda values: FENCE_IS_ON(values) and of_this_type(values)
+
+
+def _any(_metres: float) -> Judgement:
+    """The fleet's fence and the take-off height decide."""
+    return Judgement(OK)
+
+
 PARAMETERS: tuple[ParameterRule, ...] = (
     ParameterRule(
         "GUID_OPTIONS",
@@ -98,6 +129,36 @@ PARAMETERS: tuple[ParameterRule, ...] = (
         "1",
         _switch,
         remedy="set FENCE_RADIUS and FENCE_ALT_MAX a little wider than the fleet's fence, then FENCE_ENABLE to 1",
+    ),
+    ParameterRule(
+        "FENCE_TYPE",
+        Code.AUTOPILOT_FENCE_OFF,
+        "bits 0 (ceiling) and 1 (circle) set, such as 7",
+        _fence_type,
+        remedy="set FENCE_RADIUS and FENCE_ALT_MAX a little wider than the fleet's fence, then FENCE_TYPE to 7",
+        applies=FENCE_IS_ON,
+    ),
+    ParameterRule(
+        "FENCE_RADIUS",
+        Code.AUTOPILOT_FENCE_OFF,
+        "more than 0 m from home",
+        _any,
+        remedy=WIDER_FENCE.format("FENCE_RADIUS"),
+        unit="m",
+        applies=_is_on("FENCE_TYPE", CIRCLE),
+        fence_side=FenceSide.RADIUS,
+        acts=ACTS_AT_FENCE,
+    ),
+    ParameterRule(
+        "FENCE_ALT_MAX",
+        Code.AUTOPILOT_FENCE_OFF,
+        "more than 0 m above home",
+        _any,
+        remedy=WIDER_FENCE.format("FENCE_ALT_MAX"),
+        unit="m",
+        applies=_is_on("FENCE_TYPE", CEILING),
+        fence_side=FenceSide.CEILING,
+        acts=ACTS_AT_FENCE,
     ),
     ParameterRule(
         "FENCE_ACTION",

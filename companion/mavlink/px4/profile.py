@@ -17,11 +17,13 @@ from companion.core.autopilot import (
     WARNING,
     WIDER_FENCE,
     AutopilotProfile,
+    FenceSide,
     Judgement,
     ParameterRule,
     Procedure,
     always,
     climb,
+    differs,
     hold,
     mode_is,
     mode_time_s,
@@ -93,6 +95,9 @@ FENCE_ACTIONS = {
 }
 
 
+ACTS_AT_FENCE = differs("GF_ACTION", 0, 1)
+
+
 def _rc_override(value: float) -> Judgement:
     if int(value) & OVERRIDE_IN_OFFBOARD:
         return Judgement(OK, "sticks take over in OFFBOARD")
@@ -139,6 +144,8 @@ PARAMETERS: tuple[ParameterRule, ...] = (
         _distance,
         remedy=WIDER_FENCE.format("GF_MAX_HOR_DIST"),
         unit="m",
+        fence_side=FenceSide.RADIUS,
+        acts=ACTS_AT_FENCE,
     ),
     ParameterRule(
         "GF_MAX_VER_DIST",
@@ -147,6 +154,8 @@ PARAMETERS: tuple[ParameterRule, ...] = (
         _distance,
         remedy=WIDER_FENCE.format("GF_MAX_VER_DIST"),
         unit="m",
+        fence_side=FenceSide.CEILING,
+        acts=ACTS_AT_FENCE,
     ),
     ParameterRule(
         "RTL_TYPE",

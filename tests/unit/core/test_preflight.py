@@ -236,3 +236,12 @@ def test_indoors_px4_is_not_armed_without_an_origin_and_arducopter_takes_off(kin
     flight.autopilot.withheld = ()
     flight.ticks(1.1)
     assert flight.fly_to(P.HOLD).autopilot.up_m == TAKEOFF_M
+
+
+def test_a_fence_below_the_take_off_height_refuses_formation() -> None:
+    flight = FlightOnBytes(PX4)
+    flight.autopilot.parameters["GF_MAX_VER_DIST"] = 1.5
+    flight.fly_to(P.HOLD)  # as this one's autopilot does not mind
+    accepted, code, reason = form(flight)
+    assert (accepted, code) == (False, Code.AUDIT_REFUSAL)
+    assert "GF_MAX_VER_DIST: 1.5 m (not above the take-off height, 2 m)" in reason

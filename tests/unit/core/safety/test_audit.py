@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from companion.core.safety.audit import AuditFinding, Facts, FoundHome, PositionCheck, Verdict, audit, worst
+from companion.core.safety.audit import AuditFinding, Facts, FleetFence, FoundHome, PositionCheck, Verdict, audit, worst
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import AutopilotKind
+from companion.types.notices import Code
 
 PX4, ARDUPILOT = AutopilotKind.PX4, AutopilotKind.ARDUPILOT
 OK, WARNING, REFUSAL = Verdict.OK, Verdict.WARNING, Verdict.REFUSAL
@@ -75,6 +76,14 @@ CASES: list[tuple[AutopilotKind, str, float | None, Verdict, float | None]] = [
     (ARDUPILOT, "FS_GCS_ENABLE", 1, WARNING, None),
     (ARDUPILOT, "FENCE_ENABLE", 1, OK, None),
     (ARDUPILOT, "FENCE_ENABLE", 0, WARNING, None),
+    (ARDUPILOT, "FENCE_TYPE", 7, OK, None),
+    (ARDUPILOT, "FENCE_TYPE", 3, OK, None),
+    (ARDUPILOT, "FENCE_TYPE", 0, WARNING, None),  # enabled, and no fence all the same
+    (ARDUPILOT, "FENCE_TYPE", 1, WARNING, None),
+    (ARDUPILOT, "FENCE_TYPE", 2, WARNING, None),
+    (ARDUPILOT, "FENCE_TYPE", 12, WARNING, None),  # polygons and the floor
+    (ARDUPILOT, "FENCE_RADIUS", 150.0, OK, None),  # compared where the fleet's fence is known
+    (ARDUPILOT, "FENCE_ALT_MAX", 100.0, OK, None),
     (ARDUPILOT, "FENCE_ACTION", 1, OK, None),
     (ARDUPILOT, "FENCE_ACTION", 4, OK, None),
     (ARDUPILOT, "FENCE_ACTION", 0, WARNING, 1.0),
@@ -136,6 +145,66 @@ def test_missing_hover_thrust_parameter_is_reported_with_the_configured_value() 
         "MPC_THR_HOVER: not found; wanted: near hover_thrust_norm of the vehicle file, 0.49;"
         " update the firmware, or check the link for packet loss"
     )
+
+
+FENCE = FleetFence(((-40.0, -30.0), (-40.0, 30.0), (40.0, 30.0), (40.0, -30.0)), 15.0, 3.0)
+FENCE_PARAMETERS = {
+    PX4: ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST", {"GF_ACTION": 2}),
+    ARDUPILOT: ("FENCE_RADIUS", "FENCE_ALT_MAX", {"FENCE_ENABLE": 1, "FENCE_TYPE": 7, "FENCE_ACTION": 1}),
+}
+
+
+@pytest.mark.parametrize("autopilot", AutopilotKind)
+@pytest.mark.parametrize(
+    ("radius_m", "ceiling_m", "home", "verdicts", "words"),
+    [
+        (50.0, 15.0, (0.0, 0.0), (OK, OK), "at least 50.0 m around home"),
+        (49.0, 15.0, (0.0, 0.0), (WARNING, OK), "49 m (inside the fleet's fence"),
+        (80.0, 15.0, (-40.0, -30.0), (WARNING, OK), "at least 100.0 m around home"),  # in a corner
+        (50.0, 15.0, None, (OK, OK), ""),  # as in the middle
+        (50.0, 14.0, (0.0, 0.0), (OK, WARNING), "at least 15.0 m above home"),
+        (50.0, 3.0, (0.0, 0.0), (OK, REFUSAL), "3 m (not above the take-off height, 3 m)"),
+        (5.0, 2.0, (0.0, 0.0), (WARNING, REFUSAL), "2 m (not above the take-off height, 3 m)"),
+    ],
+)
+def test_the_autopilot_s_fence_leaves_room_for_the_fleet_s(
+    autopilot: AutopilotKind,
+    radius_m: float,
+    ceiling_m: float,
+    home: tuple[float, float] | None,
+    verdicts: tuple[Verdict, Verdict],
+    words: str,
+) -> None:
+    radius, ceiling, others = FENCE_PARAMETERS[autopilot]
+    parameters = {**others, radius: radius_m, ceiling: ceiling_m}
+    facts = Facts(RULES[autopilot], parameters, HOVER, fence=replace(FENCE, home_enu_m=home))
+    found = {finding.subject: finding for finding in audit(facts)}
+    assert (found[radius].verdict, found[ceiling].verdict) == verdicts
+    assert words in f"{found[radius]}; {found[ceiling]}"
+    assert {found[name].code for name in (radius, ceiling)} <= {None, Code.AUTOPILOT_FENCE_SMALL}
+
+
+@pytest.mark.parametrize(("autopilot", "action"), [(PX4, "GF_ACTION"), (ARDUPILOT, "FENCE_ACTION")])
+def test_a_low_ceiling_that_is_only_reported_is_a_warning(autopilot: AutopilotKind, action: str) -> None:
+    _, ceiling, others = FENCE_PARAMETERS[autopilot]
+    facts = Facts(RULES[autopilot], {**others, ceiling: 2.0, action: 0}, HOVER, fence=FENCE)
+    assert verdicts(facts)[ceiling] is WARNING
+
+
+@pytest.mark.parametrize(
+    ("others", "judged"),
+    [
+        ({"FENCE_ENABLE": 0, "FENCE_TYPE": 7}, set()),
+        ({"FENCE_ENABLE": 1, "FENCE_TYPE": 0}, set()),
+        ({"FENCE_ENABLE": 1, "FENCE_TYPE": 1}, {"FENCE_ALT_MAX"}),
+        ({"FENCE_ENABLE": 1, "FENCE_TYPE": 2}, {"FENCE_RADIUS"}),
+        ({"FENCE_ENABLE": 1, "FENCE_TYPE": None}, {"FENCE_RADIUS", "FENCE_ALT_MAX"}),  # it may be on
+    ],
+)
+def test_only_a_fence_that_is_on_is_compared(others: dict[str, float | None], judged: set[str]) -> None:
+    sizes = {"FENCE_RADIUS": 5.0, "FENCE_ALT_MAX": 2.0}
+    found = verdicts(Facts(RULES[ARDUPILOT], {**others, **sizes}, HOVER, fence=FENCE))
+    assert found.keys() & sizes.keys() == judged
 
 
 BENCH = Facts(
