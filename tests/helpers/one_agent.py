@@ -15,7 +15,8 @@ from companion.assembly import build_agent
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, Law
 from companion.config.reference import PointReference, Reference
 from companion.config.vehicle import AgentConfig, VehicleConfig
-from companion.core.command.phase import LEVEL_BEFORE_HAND_OVER_S, PhaseMachine
+from companion.core.command.hand_over import LEVEL_BEFORE_HAND_OVER_S
+from companion.core.command.phase import PhaseMachine
 from companion.geometry.frames import geodetic_from_enu
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import (
@@ -289,7 +290,7 @@ def levelled(machine: PhaseMachine, autopilot: ImmediateAutopilot, now_s: float)
     until_s = now_s + LEVEL_BEFORE_HAND_OVER_S
     while now_s < until_s:
         assert tick(machine, now_s, autopilot.state, ()) == ()
-        assert machine.streams(autopilot.state) and machine.hands_over_level(now_s)
+        assert machine.streams(autopilot.state) and machine.handing_over.levels(now_s)
         now_s += 0.02
     autopilot.execute(tick(machine, now_s, autopilot.state, ()))
     return now_s

@@ -30,11 +30,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import replace
-from math import hypot, inf
 
 from msgspec import Struct
 
 from companion.core.autopilot import Procedure, Profiles, Progress, RunningProcedure, profile_of
+from companion.core.command.hand_over import BRAKES_WITHIN_S, LEVEL_BEFORE_HAND_OVER_S, NO_HAND_OVER
 from companion.types.autopilot import AutopilotMode, AutopilotRequest, LandedState, Telemetry, VehicleState, in_air
 from companion.types.commands import CommandName
 from companion.types.flight import (
@@ -52,14 +52,6 @@ from companion.types.flight import (
 from companion.types.notices import Answer, Code, Notice, accept, refuse
 
 P, M, C = FlightPhase, AutopilotMode, CommandName
-
-LEVEL_BEFORE_HAND_OVER_S = 0.25  # autopilots begin their own hold level, from any attitude
-# An autopilot brakes for its hold harder than the vehicles behind can, and makes way for none. So this agent brakes first.
-BRAKED_M_S = 0.5  # at this speed it hands over, unless the separation filter changes the acceleration
-BRAKES_WITHIN_S = 4.0  # then it hands over in any case
-EVADES_M_S2 = 0.3  # a change by the filter of at least this much is an evasion
-TAKES_OVER_WITHIN_S = 0.25  # both autopilots take over within 50 ms of the request
-LANDS_WITHIN_S = 1.5  # after three requests to land the agent lowers the vehicle itself
 
 FLOWN_BY_OTHERS = frozenset({M.LAND, M.RETURN, M.OTHER})  # while the agent observes: by a pilot or a failsafe
 MUST_BE_ARMED = {P.ARMED} | FLYING - TO_THE_GROUND
@@ -99,12 +91,9 @@ class PhaseMachine:
         self.phase = P.OBSERVE
         self._rule: Rule | None = None
         self._running: RunningProcedure | None = None
-        self._leaving_formation = False
+        self.handing_over = NO_HAND_OVER
         self._began_in = P.OBSERVE  # the phase in which the procedure under way began
-        self._descends_from_s = inf  # while a landing is asked for
         self._filtered_m_s2 = 0.0  # change by the separation filter in the last tick
-        self._brakes_until_s: float | None = None  # until then the vehicle brakes, before it levels
-        self._level_until_s = float("-inf")  # until then level attitude is streamed, before another mode takes over
         self._tolerated: frozenset[AutopilotMode] = frozenset()
         self.events: list[Notice] = []
         self._seen: tuple[object, ...] = ()  # inputs of `observe` in the last tick
@@ -114,15 +103,7 @@ class PhaseMachine:
         """True while attitude targets go out: just before formation, in it, and until the autopilot has taken over."""
         if self.phase in STREAMING:
             return True
-        return self._leaving_formation and vehicle.mode is M.OFFBOARD
-
-    def hands_over_level(self, now_s: float) -> bool:
-        """In a hand-over from formation, after it has braked, until the autopilot should have taken over."""
-        return self._leaving_formation and self._brakes_until_s is None and now_s < self._level_until_s
-
-    def descends(self, now_s: float) -> bool:
-        """The autopilot does not take over to land: the stream goes on, and lowers the vehicle."""
-        return self._leaving_formation and self._brakes_until_s is None and now_s > self._descends_from_s
+        return self.handing_over.under_way and vehicle.mode is M.OFFBOARD
 
     def command(self, name: CommandName, now_s: float, vehicle: VehicleState) -> Answer:
         """(accepted, reason). A command that is under way or done already is accepted again."""
@@ -173,7 +154,7 @@ class PhaseMachine:
     def observe(self, now_s: float, vehicle: VehicleState) -> Flight:
         """The phase at the beginning of a tick, after a change of mode, arming or flight by others."""
         seen = (self.phase, vehicle.mode, vehicle.armed, vehicle.landed, vehicle.autopilot)
-        if seen == self._seen and not self._leaving_formation:
+        if seen == self._seen and not self.handing_over.under_way:
             return self._observed  # it follows from these alone
         self.follow_truth(vehicle)
         self._seen, self._observed = seen, self._flight(now_s, vehicle)
@@ -225,10 +206,10 @@ class PhaseMachine:
         return Flight(
             phase=phase,
             streams=self.streams(vehicle),
-            in_formation=phase is FORMATION or (self._leaving_formation and phase is P.RELEASE),
+            in_formation=phase is FORMATION or (self.handing_over.under_way and phase is P.RELEASE),
             on_ground=not vehicle.armed or phase in ON_GROUND,
-            levels=self.hands_over_level(now_s),
-            descends=self.descends(now_s),
+            levels=self.handing_over.levels(now_s),
+            descends=self.handing_over.descends(now_s),
             commanded=commanded,
             requests=requests,
             answers=answers,
@@ -278,8 +259,8 @@ class PhaseMachine:
         """The same without braking, or with no more of it, where the velocity is in doubt."""
         if self.phase in STREAMING:
             self._begin(C.HOLD, now_s, vehicle, reason, brakes_within_s=0.0)
-        elif self._brakes_until_s is not None:
-            self._brakes_until_s = now_s
+        else:
+            self.handing_over = self.handing_over.without_braking(now_s)
 
     def hand_over_silently(self, now_s: float, vehicle: VehicleState, reason: Notice) -> None:
         """The same without levelling, where the attitude is unknown."""
@@ -297,27 +278,21 @@ class PhaseMachine:
 
     def end_stream(self) -> None:
         """No more setpoints; requests under way continue."""
-        self._leaving_formation = False
+        self.handing_over = self.handing_over.ended()
 
     def _brakes(self, now_s: float, vehicle: VehicleState) -> bool:
-        """Whether the vehicle still brakes, or evades another one, before it hands over."""
-        if self._brakes_until_s is None or self._running is None:
+        """Whether the vehicle still brakes, or evades another one, before it levels and the autopilot is asked."""
+        if self._running is None or not self.handing_over.has_to_brake:
             return False
-        streams = self._leaving_formation and vehicle.mode is M.OFFBOARD
-        if streams and now_s < self._brakes_until_s and self._is_moving(vehicle):
+        if self.handing_over.brakes(now_s, vehicle, self._filtered_m_s2):
             return True
-        self._levels(now_s, self._running.procedure)
+        self._level(now_s, self._running.procedure)
         return False
 
-    def _is_moving(self, vehicle: VehicleState) -> bool:
-        return hypot(*vehicle.velocity_enu_m_s) > BRAKED_M_S or self._filtered_m_s2 >= EVADES_M_S2
-
-    def _levels(self, now_s: float, procedure: Procedure) -> None:
+    def _level(self, now_s: float, procedure: Procedure) -> None:
         """Levels from now on, then asks the autopilot."""
-        self._brakes_until_s, self._level_until_s = None, now_s + procedure.delay_s + TAKES_OVER_WITHIN_S
+        self.handing_over = self.handing_over.level_from(now_s, procedure.delay_s)
         self._running = RunningProcedure(procedure, now_s)
-        if self._descends_from_s < inf:
-            self._descends_from_s = now_s + LANDS_WITHIN_S
 
     def advance(
         self, now_s: float, vehicle: VehicleState, telemetry: Iterable[Telemetry]
@@ -326,7 +301,7 @@ class PhaseMachine:
         if self._running is None or self._rule is None:
             return ()
         self._running.receive(telemetry)
-        if vehicle.landed is LandedState.ON_GROUND and self._rule is LANDING and self.descends(now_s):
+        if vehicle.landed is LandedState.ON_GROUND and self._rule is LANDING and self.handing_over.descends(now_s):
             self._begin(C.DISARM, now_s, vehicle, Notice(Code.PHASE_CHANGED, "lowered to the ground"))
         match self._running.progress(now_s, vehicle):
             case Progress.DONE:
@@ -362,17 +337,16 @@ class PhaseMachine:
         procedure = profile_of(vehicle, self._profiles).procedures[name](vehicle, self._takeoff_height_m)
         leaving = self.streams(vehicle) and rule.via is not P.ENGAGE
         leaves_formation = self.phase is P.FORMATION  # before it, the present attitude is streamed anyway
-        self._began_in, descends_from_s = self.phase, min(self._descends_from_s, now_s + LANDS_WITHIN_S)
+        self._began_in, before = self.phase, self.handing_over
         self._enter(rule.via, reason)
-        self._descends_from_s = descends_from_s if rule.via is P.LAND else inf
         self._rule = rule
-        self._leaving_formation = leaving
+        if leaving:
+            self.handing_over = before.begun(now_s, lands=rule.via is P.LAND)
         self._tolerated = frozenset({vehicle.mode}) | ({M.OFFBOARD} if leaving else frozenset())
         self._running = RunningProcedure(procedure, now_s)
         if leaves_formation:
-            self._levels(now_s, replace(procedure, delay_s=level_first_s))
-            if brakes_within_s > 0.0 and self._is_moving(vehicle):
-                self._brakes_until_s = now_s + brakes_within_s
+            self._level(now_s, replace(procedure, delay_s=level_first_s))
+            self.handing_over = self.handing_over.braking(now_s, vehicle, self._filtered_m_s2, brakes_within_s)
         self._seen = ()
 
     def _enter(self, phase: FlightPhase, reason: Notice | None = None) -> None:
@@ -383,9 +357,7 @@ class PhaseMachine:
         self.phase = phase
         self._rule = None
         self._running = None
-        self._leaving_formation = False
-        self._descends_from_s = inf
-        self._brakes_until_s = None
+        self.handing_over = self.handing_over.ended()
         self._tolerated = frozenset()
         self._seen = ()
 
@@ -407,7 +379,7 @@ class PhaseMachine:
             if self._rule is LANDING or self._rule is RETURNING:
                 # It has begun: any other mode from now on is the pilot's, and nothing is left to hand over.
                 self._tolerated = frozenset()
-                self._leaving_formation = False
+                self.handing_over = self.handing_over.ended()
             return True
         return vehicle.mode in self._tolerated
 

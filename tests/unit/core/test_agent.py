@@ -10,7 +10,7 @@ from common import codes_of, outcome, with_fields
 from companion.assembly import trajectory_of
 from companion.config.fleet import FleetConfig, FormationMember, Law
 from companion.config.reference import Figure8Reference, PointReference
-from companion.core.command.phase import BRAKES_WITHIN_S, LEVEL_BEFORE_HAND_OVER_S, TAKES_OVER_WITHIN_S
+from companion.core.command.hand_over import BRAKES_WITHIN_S, LEVEL_BEFORE_HAND_OVER_S, TAKES_OVER_WITHIN_S
 from companion.types.autopilot import (
     AttitudeSample,
     AttitudeTarget,

@@ -12,7 +12,7 @@ import pytest
 
 from agent_on_bytes import BOTH, HOLD, MANUAL, PERIOD_S, FailingFlight
 from companion.core.agent import Agent
-from companion.core.command.phase import BRAKES_WITHIN_S
+from companion.core.command.hand_over import BRAKES_WITHIN_S
 from companion.core.consensus.peers import FleetLimits, PeerTable
 from companion.core.safety.safeguard import HAND_OVER_WITHIN_S
 from companion.link.control_loop import ControlLoop

@@ -4,13 +4,8 @@ import pytest
 from msgspec.structs import replace
 
 from common import code_of, outcome
-from companion.core.command.phase import (
-    FLYING,
-    LEVEL_BEFORE_HAND_OVER_S,
-    TAKES_OVER_WITHIN_S,
-    TO_THE_GROUND,
-    PhaseMachine,
-)
+from companion.core.command.hand_over import LEVEL_BEFORE_HAND_OVER_S, TAKES_OVER_WITHIN_S
+from companion.core.command.phase import FLYING, TO_THE_GROUND, PhaseMachine
 from companion.core.election.leadership import refusal_of_lead
 from companion.core.safety.failsafe import HealthLimits, health_flags
 from companion.core.safety.limits import OutputLimits
@@ -59,8 +54,8 @@ def test_setpoints_stream_until_the_autopilot_has_taken_over() -> None:
 def test_a_hand_over_is_level_until_the_autopilot_should_have_taken_over() -> None:
     machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
     machine.hand_over(now_s, autopilot.state, REASON)
-    assert machine.hands_over_level(now_s + LEVEL_BEFORE_HAND_OVER_S)
-    assert not machine.hands_over_level(now_s + LEVEL_BEFORE_HAND_OVER_S + TAKES_OVER_WITHIN_S)
+    assert machine.handing_over.levels(now_s + LEVEL_BEFORE_HAND_OVER_S)
+    assert not machine.handing_over.levels(now_s + LEVEL_BEFORE_HAND_OVER_S + TAKES_OVER_WITHIN_S)
     assert machine.streams(autopilot.state)
 
 
@@ -68,10 +63,10 @@ def test_a_moving_vehicle_brakes_before_it_levels_unless_its_velocity_is_in_doub
     machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
     moving = replace(autopilot.state, velocity_enu_m_s=(2.0, 0.0, 0.0))
     machine.hand_over(now_s, moving, REASON)
-    assert machine.streams(moving) and not machine.hands_over_level(now_s)
+    assert machine.streams(moving) and not machine.handing_over.levels(now_s)
     machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
     machine.hand_over_level(now_s, moving, REASON)
-    assert machine.streams(moving) and machine.hands_over_level(now_s)
+    assert machine.streams(moving) and machine.handing_over.levels(now_s)
 
 
 def test_a_hold_is_requested_at_once_when_the_attitude_is_unknown() -> None:
@@ -413,14 +408,14 @@ def test_a_refused_hold_becomes_a_landing_and_a_refused_landing_a_descent_with_s
     now_s = refused(machine, autopilot.state, now_s, 2.0)
     assert machine.phase is FlightPhase.LAND
     assert "hold" not in machine.events[-1].text and "DO_SET_MODE failed" in machine.events[-1].text
-    assert machine.streams(autopilot.state) and not machine.descends(now_s)
+    assert machine.streams(autopilot.state) and not machine.handing_over.descends(now_s)
     now_s = refused(machine, autopilot.state, now_s, 2.0)
-    assert machine.streams(autopilot.state) and machine.descends(now_s)
+    assert machine.streams(autopilot.state) and machine.handing_over.descends(now_s)
     now_s = refused(machine, autopilot.state, now_s, 200.0)  # longer than a landing may take
-    assert machine.phase is FlightPhase.LAND and machine.descends(now_s)
+    assert machine.phase is FlightPhase.LAND and machine.handing_over.descends(now_s)
     landed = replace(autopilot.state, landed=LandedState.ON_GROUND)
     assert tick(machine, now_s, landed, ()) == (Disarm(),)
-    assert machine.descends(now_s)  # it would take off again
+    assert machine.handing_over.descends(now_s)  # it would take off again
     tick(machine, now_s + 0.02, replace(landed, armed=False), ())
     assert machine.phase is FlightPhase.OBSERVE and not machine.streams(landed)
 
@@ -431,7 +426,7 @@ def test_a_landing_that_the_autopilot_takes_is_not_flown_with_setpoints() -> Non
     now_s = refused(machine, autopilot.state, now_s, 2.0)
     landing = replace(autopilot.state, mode=AutopilotMode.LAND)
     tick(machine, now_s + 5.0, landing, ())
-    assert not machine.streams(landing) and not machine.descends(now_s + 5.0)
+    assert not machine.streams(landing) and not machine.handing_over.descends(now_s + 5.0)
 
 
 def test_a_hold_that_the_autopilot_ignores_becomes_a_landing_too() -> None:
