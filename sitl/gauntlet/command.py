@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
-from itertools import count, islice
+from itertools import islice
 from pathlib import Path
 
 from msgspec import Struct
@@ -13,8 +12,8 @@ from msgspec import Struct
 from companion.config.fleet_check import load_fleet
 from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from sitl.cluster import workers_of
-from sitl.gauntlet.families import FAMILIES
-from sitl.gauntlet.flight import FlightOutcome, Job, family_of, fly
+from sitl.gauntlet.faults import ALL_FAMILIES
+from sitl.gauntlet.flight import FlightOutcome, Job, fly, numbers_of
 from sitl.gauntlet.summary import COLUMNS, MEANING, FamilySummary, cells, page, summarize, write_worst
 from sitl.report.folder import results_folder, table_text
 from sitl.report.progress import ShareProgress
@@ -60,16 +59,11 @@ def run_gauntlet(arguments: argparse.Namespace) -> int:
 
 def parse_families(text: str | None) -> tuple[str, ...]:
     """The families named in a comma-separated list; all without one. Raises UnusableError."""
-    names = tuple(text.split(",")) if text else tuple(FAMILIES)
+    names = tuple(text.split(",")) if text else tuple(ALL_FAMILIES)
     for name in names:
-        if name not in FAMILIES:
-            raise UnusableError(f"--families: {name!r}, expected some of {', '.join(FAMILIES)}")
+        if name not in ALL_FAMILIES:
+            raise UnusableError(f"--families: {name!r}, expected some of {', '.join(ALL_FAMILIES)}")
     return names
-
-
-def numbers_of(families: Sequence[str]) -> Iterator[int]:
-    """Numbers of flights of these families, rising."""
-    return (number for number in count() if family_of(number) in families)
 
 
 def _fly_all(workers: Workers, jobs: list[Job], progress: ShareProgress, stop: StopRequest) -> list[FlightOutcome]:

@@ -34,6 +34,8 @@ class FamilyPlan:
 
     `stays_out`: vehicles that take off and are not commanded to form at first. `slots_from_s`: the time from which vehicles
     fly to the slots that they are to reach. `expected`: the vehicles that are to be in their slots at the end; None: all.
+    `settings` of the fleet by path, `stand_in` and `links` are added to those that are drawn. `judges_hand_over`: pairs of
+    which both fly by their autopilots count as well, because agents chose to hand over.
     """
 
     reference: Content
@@ -45,6 +47,10 @@ class FamilyPlan:
     partitions: list[Content] = field(default_factory=list)
     agent_ends: list[Content] = field(default_factory=list)
     turns: bool = False
+    settings: Content = field(default_factory=dict)
+    stand_in: Content = field(default_factory=dict)
+    links: Content = field(default_factory=dict)
+    judges_hand_over: bool = False
 
 
 Family = Callable[[Random, DrawnFleet], FamilyPlan]

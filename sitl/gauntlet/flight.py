@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, count
 from math import cos, pi, sin
 from pathlib import Path
 from random import Random
@@ -28,12 +28,13 @@ from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.values import Vector3
 from sitl.flight.flights import DivergesError, check_convergence
-from sitl.flight.lockstep import VirtualStandIn
+from sitl.flight.lockstep import BoolArray, VirtualStandIn
 from sitl.flight.orders import Refusal
 from sitl.flight.scenario import Scenario, scenario_from
 from sitl.flight.virtual_flight import Flown, fly_without_landing
 from sitl.flight.watch import FlightWatch
 from sitl.gauntlet.families import FAMILIES, FORM_S, FamilyPlan, step
+from sitl.gauntlet.faults import ALL_FAMILIES, FAULTS
 from sitl.gauntlet.fleets import START_SPACING, DrawnFleet, SensorsName, random_fleet, sections, to_thousandth
 from sitl.report.metrics import Track, reported_track
 from sitl.report.progress import FlightProgress
@@ -106,8 +107,8 @@ def fly_drawn(job: Job, flight: Drawn, began_s: float) -> FlightOutcome:
     try:
         flown = fly_without_landing(scenario, FlightProgress("gauntlet", True, 0.0))
     except Exception:  # noqa: BLE001 -- any defect of an agent is an outcome, and the other flights go on
-        return replace(known, exception=traceback.format_exc(), cpu_s=_since(began_s))
-    found, arrived = distances(flown.stand_ins), arrivals(flight, flown)
+        return replace(known, exception=traceback.format_exc(), cpu_s=_cpu_s(began_s))
+    found, arrived = distances(flown.stand_ins, flight.handed_over), arrivals(flight, flown)
     ratio = found.commanded.distance_m / scenario.fleet.separation_m if found.commanded else None
     return replace(
         known,
@@ -119,7 +120,7 @@ def fly_drawn(job: Job, flight: Drawn, began_s: float) -> FlightOutcome:
         refusals=flown.refusals,
         codes=list(dict.fromkeys(event.code for event in flown.watch.events)),
         failure=flown.failure or "",
-        cpu_s=_since(began_s),
+        cpu_s=_cpu_s(began_s),
     )
 
 
@@ -139,12 +140,12 @@ def without_disturbance(scenario: Scenario) -> Scenario:
     return replace(
         scenario,
         fleet=replace(scenario.fleet, separation_m=NO_SEPARATION_M),
-        stand_in=replace(scenario.stand_in, sensors="ideal", pilots=()),
+        stand_in=replace(scenario.stand_in, sensors="ideal", pilots=(), position_losses=()),
         links=Links(partitions=scenario.links.partitions),
     )
 
 
-def _since(began_s: float) -> float:
+def _cpu_s(began_s: float) -> float:
     return round(time.process_time() - began_s, 2)
 
 
@@ -153,11 +154,18 @@ SEEN_S = 1.0  # a runaway has its speed, and the others have received it
 RUNAWAY_M_S = (0.3, 2.0)
 DRAWS = 200
 NAMES = tuple(FAMILIES)
+FAULT_NAMES = tuple(FAULTS)
+FAULTS_FROM = 1_000_000
+"""Number of the first flight of FAULTS: those of the other families keep the numbers, and thus the bits, of before."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A flight before it is flown. `expected`: the vehicles that are to be in their slots at the end."""
+    """A flight before it is flown.
+
+    `expected`: the vehicles that are to be in their slots at the end. `handed_over`: those that fly by their autopilots only
+    where their agents chose to hand over, so that pairs of them count then as well.
+    """
 
     number: int
     family: str
@@ -166,6 +174,7 @@ class Drawn:
     slots_from_s: float
     ends_s: float
     runaway: int | None
+    handed_over: frozenset[int]
 
 
 class ImpossibleFlightError(CompanionError):
@@ -174,7 +183,17 @@ class ImpossibleFlightError(CompanionError):
 
 def family_of(number: int) -> str:
     """The family of a flight; it depends on its number alone."""
-    return NAMES[number % len(NAMES)]
+    if number < FAULTS_FROM:
+        return NAMES[number % len(NAMES)]
+    return FAULT_NAMES[(number - FAULTS_FROM) % len(FAULT_NAMES)]
+
+
+def numbers_of(families: Collection[str]) -> Iterator[int]:
+    """Numbers of flights of these families: in turn as many of each."""
+    for turn in count():
+        others = range(turn * len(NAMES), (turn + 1) * len(NAMES))
+        faults = range(FAULTS_FROM + turn * len(FAULT_NAMES), FAULTS_FROM + (turn + 1) * len(FAULT_NAMES))
+        yield from (number for number in (*others, *faults) if family_of(number) in families)
 
 
 def has_runaway(number: int) -> bool:
@@ -186,7 +205,7 @@ def draw_flight(seed: int, number: int, sensors: SensorsName | None = None, own:
     random, last = Random(f"{seed} {number} gauntlet"), ""
     for _ in range(DRAWS):
         fleet = random_fleet(random, sensors, own)
-        plan = FAMILIES[family_of(number)](random, fleet)
+        plan = ALL_FAMILIES[family_of(number)](random, fleet)
         content, runaway = _content(random, fleet, plan, has_runaway(number))
         content["description"] = f"Flight {number} of the gauntlet with seed {seed}, {family_of(number)}."
         try:
@@ -198,8 +217,16 @@ def draw_flight(seed: int, number: int, sensors: SensorsName | None = None, own:
         expected = plan.expected if plan.expected is not None else fleet.ids
         arrives = tuple(i for i in expected if i != runaway and (i not in plan.stays_out or _joins(plan, i)))
         times_s = (to_thousandth(FORM_S + plan.slots_from_s), to_thousandth(FORM_S + plan.lasts_s))
-        return Drawn(number, family_of(number), scenario, arrives, *times_s, runaway)
+        handed_over = _not_taken(scenario) if plan.judges_hand_over else frozenset()
+        return Drawn(number, family_of(number), scenario, arrives, *times_s, runaway, handed_over)
     raise ImpossibleFlightError(f"no draw of flight {number} with seed {seed} can be flown: {last}")
+
+
+def _not_taken(scenario: Scenario) -> frozenset[int]:
+    """The vehicles that no pilot takes over and that know their positions."""
+    taken = {pilot.vehicle for pilot in scenario.stand_in.pilots}
+    taken |= {loss.vehicle for loss in scenario.stand_in.position_losses}
+    return frozenset(member.id for member in scenario.fleet.vehicles if member.id not in taken)
 
 
 def _joins(plan: FamilyPlan, vehicle_id: int) -> bool:
@@ -221,8 +248,10 @@ def _content(
     if fleet.own is None:
         content["fleet"]["formation_heading"] = "course" if plan.turns else "fixed"
     content["reference"] = plan.reference
-    content["stand_in"]["pilots"] = pilots
-    content["links"]["partitions"] = plan.partitions
+    content["stand_in"] |= plan.stand_in | {"pilots": [*plan.stand_in.get("pilots", ()), *pilots]}
+    content["links"] |= plan.links | {"partitions": plan.partitions}
+    for path, value in plan.settings.items():
+        _set(content["fleet"], path, value)
     content["agent_ends"] = plan.agent_ends
     forming = [i for i in fleet.ids if i not in stays_out]
     content["timeline"] = [
@@ -234,6 +263,14 @@ def _content(
     ]
     _end(content["timeline"], FORM_S + plan.lasts_s)
     return content, runaway
+
+
+def _set(section: dict[str, Any], path: str, value: object) -> None:
+    first, _, rest = path.partition(".")
+    if rest:
+        _set(section.setdefault(first, {}), rest, value)
+    else:
+        section[first] = value
 
 
 def _without(one: dict[str, Any], runaway: int) -> dict[str, Any]:
@@ -289,7 +326,7 @@ class Closest(Struct, frozen=True, kw_only=True):
 
 
 class Distances(Struct, frozen=True, kw_only=True):
-    """`commanded`: of pairs where an agent commands the attitude of at least one vehicle.
+    """`commanded`: of pairs where an agent commands the attitude of at least one vehicle, or has handed over both.
 
     `automatic`: of other pairs in the air, which both fly by their autopilots or pilots. None: there were none.
     """
@@ -298,8 +335,8 @@ class Distances(Struct, frozen=True, kw_only=True):
     automatic: Closest | None
 
 
-def distances(stand_ins: Sequence[VirtualStandIn]) -> Distances:
-    """Over the whole flight, at 50 Hz."""
+def distances(stand_ins: Sequence[VirtualStandIn], handed_over: Collection[int] = ()) -> Distances:
+    """Over the whole flight, at 50 Hz. `handed_over`: vehicles whose autopilots fly where their agents handed over."""
     tracks = {s.vehicle_id: s.track() for s in stand_ins}
     commanded = {s.vehicle_id: s.commanded() for s in stand_ins}
     flies = {s.vehicle_id: s.flies() for s in stand_ins}
@@ -307,6 +344,8 @@ def distances(stand_ins: Sequence[VirtualStandIn]) -> Distances:
     for i, j in combinations(sorted(tracks), 2):
         apart_m = np.linalg.norm(tracks[i].position_enu_m - tracks[j].position_enu_m, axis=1)
         either = commanded[i] | commanded[j]
+        if i in handed_over and j in handed_over:
+            either |= _since(commanded[i]) & _since(commanded[j]) & (flies[i] | flies[j])
         for kind, counts in ((True, either), (False, ~either & flies[i] & flies[j])):
             if not counts.any():
                 continue
@@ -316,6 +355,11 @@ def distances(stand_ins: Sequence[VirtualStandIn]) -> Distances:
                 time_s = round(float(tracks[i].time_s[row]), 3)
                 closest[kind] = Closest(distance_m=round(float(apart_m[row]), 4), time_s=time_s, vehicles=(i, j))
     return Distances(commanded=closest[True], automatic=closest[False])
+
+
+def _since(first: BoolArray) -> BoolArray:
+    """From the first true value on."""
+    return np.logical_or.accumulate(first)
 
 
 WITHIN_M = {"ideal": 0.5, "default": 0.5, "px4_sih": 1.0}

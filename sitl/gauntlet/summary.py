@@ -12,7 +12,8 @@ import yaml
 from msgspec import Struct
 
 from companion.config.fleet import FleetConfig
-from sitl.gauntlet.families import FAMILIES, RESTARTS_AFTER_S, STAYS_DEAD
+from sitl.gauntlet.families import RESTARTS_AFTER_S, STAYS_DEAD
+from sitl.gauntlet.faults import ALL_FAMILIES
 from sitl.gauntlet.fleets import SensorsName
 from sitl.gauntlet.flight import SENSOR_FACTOR, FlightOutcome, draw_flight
 from sitl.report.folder import Column
@@ -175,7 +176,9 @@ def page(seed: int, families: Sequence[FamilySummary], outcomes: Sequence[Flight
         first_s=first_s,
         last_s=last_s,
         dead_percent=100 * STAYS_DEAD,
-        families="\n".join(f"| `{name}` | {_first_sentence(family.__doc__)} |" for name, family in FAMILIES.items()),
+        families="\n".join(
+            f"| `{name}` | {_first_sentence(family.__doc__)} |" for name, family in ALL_FAMILIES.items()
+        ),
     )
 
 

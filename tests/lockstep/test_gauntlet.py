@@ -19,9 +19,19 @@ from sitl.cli.studies import GAUNTLET
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.virtual_flight import fly_without_landing
-from sitl.gauntlet.command import numbers_of
 from sitl.gauntlet.families import FAMILIES
-from sitl.gauntlet.flight import UNDISTURBED_EVERY, Job, distances, draw_flight, family_of, fly, has_runaway
+from sitl.gauntlet.faults import ALL_FAMILIES, FAULTS
+from sitl.gauntlet.flight import (
+    FAULTS_FROM,
+    UNDISTURBED_EVERY,
+    Job,
+    distances,
+    draw_flight,
+    family_of,
+    fly,
+    has_runaway,
+    numbers_of,
+)
 from sitl.gauntlet.summary import write_worst
 from sitl.report.metrics import Track
 from sitl.report.progress import FlightProgress
@@ -46,7 +56,7 @@ def arguments(*given: str) -> argparse.Namespace:
     return parser.parse_args([*given, "--quiet"])
 
 
-@pytest.mark.parametrize("number", range(len(FAMILIES)))
+@pytest.mark.parametrize("number", list(islice(numbers_of(ALL_FAMILIES), len(ALL_FAMILIES))))
 def test_seed_and_number_give_the_same_scenario(number: int) -> None:
     first, second = draw_flight(3, number), draw_flight(3, number)
     assert first == second
@@ -56,7 +66,8 @@ def test_seed_and_number_give_the_same_scenario(number: int) -> None:
 
 
 def test_each_family_has_runaways() -> None:
-    assert {family_of(number) for number in range(170) if has_runaway(number)} == set(FAMILIES)
+    numbers = islice(numbers_of(ALL_FAMILIES), 10 * len(ALL_FAMILIES))
+    assert {family_of(number) for number in numbers if has_runaway(number)} == set(ALL_FAMILIES)
     flight = draw_flight(1, 9)
     assert [pilot.vehicle for pilot in flight.scenario.stand_in.pilots] == [flight.runaway]
 
@@ -64,6 +75,31 @@ def test_each_family_has_runaways() -> None:
 def test_only_the_named_families_are_flown() -> None:
     numbers = numbers_of(("joining", "exchange"))
     assert {family_of(next(numbers)) for _ in range(6)} == {"joining", "exchange"}
+
+
+def test_flights_without_faults_have_the_numbers_that_they_always_had() -> None:
+    assert [family_of(number) for number in range(40)] == [list(FAMILIES)[number % 17] for number in range(40)]
+    first = islice(numbers_of(ALL_FAMILIES), 2 * len(ALL_FAMILIES))
+    assert sorted(number for number in first if number < FAULTS_FROM) == list(range(34))
+
+
+def test_something_fails_in_each_flight_with_faults() -> None:
+    for number in islice(numbers_of(FAULTS), 5 * len(FAULTS)):
+        flight = draw_flight(1, number)
+        stand_in, links, fleet = flight.scenario.stand_in, flight.scenario.links, flight.scenario.fleet
+        leaves = [s for s in flight.scenario.timeline if s.command in ("hold", "land", "return") and s.vehicles]
+        left = stand_in.pilots or stand_in.batteries or leaves
+        found = {
+            "hold_in_motion": left,
+            "split_in_exchange": links.partitions,
+            "short_split": links.partitions,
+            "late_telemetry": links.late_telemetry,
+            "lost_gps": stand_in.position_losses,
+            "shared_home": stand_in.homes,
+            "settings_at_bounds": fleet != draw_flight(1, number + len(FAULTS)).scenario.fleet,
+        }
+        assert found[flight.family], flight.scenario
+        assert flight.handed_over or flight.family == "settings_at_bounds"
 
 
 def test_ended_agents_start_again_but_those_of_some_px4() -> None:
@@ -101,7 +137,7 @@ def smallest_flight(family: str) -> int:
     return min(islice(numbers, 6), key=ticks)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", ALL_FAMILIES)
 def test_a_flight_of_each_family_violates_no_separation_and_ends_in_formation(family: str) -> None:
     outcome = fly(Job(1, smallest_flight(family), "ideal"))
     assert outcome.family == family
