@@ -37,7 +37,7 @@ NO_ROOM = {
     Code.REFERENCE_OFF_FLEET,
     Code.VEHICLE_IN_THE_WAY,
 }
-CAN_CHANGE = COOPERATING | {FlightPhase.OBSERVE, FlightPhase.READY, FlightPhase.ARMED}
+CAN_CHANGE = COOPERATING - {FlightPhase.RELEASE} | {FlightPhase.OBSERVE, FlightPhase.READY, FlightPhase.ARMED}
 
 
 class Outcome(Struct, kw_only=True):
