@@ -220,6 +220,15 @@ PILOTS_CHOICE = "set {} to 0, or expect each vehicle to leave the formation sepa
 WIDER_FENCE = "set {} a little wider than the fleet's fence (envelope.fence_*), or make that smaller"
 
 
+@dataclass(frozen=True, slots=True)
+class SentFrom:
+    """A message, the versions that send it, and what to do where it does not arrive."""
+
+    name: str
+    senders: str
+    remedy: str
+
+
 ProcedureBuilder = Callable[[VehicleState, float], Procedure]
 """(state, take-off height in metres) -> procedure. Raises ValueError where the state does not allow it."""
 
@@ -230,7 +239,8 @@ class AutopilotProfile:
 
     `procedures`: all commands that reach the autopilot. `flies_on_in_silence`: when the stream ends, the autopilot continues
     the last attitude and thrust for seconds, so the last setpoint must be safe to continue. `parameters`: what the audit
-    checks, in its order; those in `decide_in_silence` decide what the autopilot does when setpoints end.
+    checks, in its order; those in `decide_in_silence` decide what the autopilot does when setpoints end. `messages`: the
+    message of each kind of telemetry whose rate is checked.
     """
 
     modes: Mapping[FlightPhase, frozenset[AutopilotMode]]
@@ -239,6 +249,7 @@ class AutopilotProfile:
     takes_off_by_altitude: bool  # above sea level, so it needs an origin; else by a height
     parameters: tuple[ParameterRule, ...]
     decide_in_silence: tuple[str, ...]
+    messages: Mapping[str, SentFrom]
 
     @property
     def hover_parameter(self) -> str:

@@ -19,6 +19,7 @@ from companion.core.safety.audit import AuditFinding, Facts, FleetFence, Verdict
 from companion.types.autopilot import (
     AttitudeSample,
     AutopilotKind,
+    HeartbeatSample,
     LandedSample,
     ModeSample,
     ParameterSample,
@@ -182,6 +183,8 @@ class Preflight:
             {rule.name: self._values.get(rule.name) for rule in rules},
             self._hover_thrust_norm,
             rates_hz=survey.rates_hz,
+            missing=survey.missing,
+            messages=self._profile.messages,
             battery_percent=survey.battery_percent,
             accepts_uncontrolled_descent=self._accepts_uncontrolled_descent,
             fence=self._fence,
@@ -201,18 +204,23 @@ NAMES: Mapping[type[Telemetry], str] = {
     ModeSample: "modes",
     LandedSample: "landed states",
 }
+COUNTED = (*NAMES, HeartbeatSample)
 WARNING = 4  # MAV_SEVERITY
 
 
 class Survey:
-    """Newest values and message rates. Rates are of the last complete window; None before the first."""
+    """Newest values and message rates. Rates are of the last complete window; None before the first.
+
+    `missing`: names of telemetry of which nothing arrived in that window. A mode in HEARTBEAT is no message of its own.
+    """
 
     def __init__(self) -> None:
         self.rates_hz: Mapping[str, float] | None = None
+        self.missing: frozenset[str] = frozenset()
         self.battery_percent: float | None = None
         self.may_arm: bool | None = None
         self.last_warning = ""  # newest STATUSTEXT of severity WARNING or worse
-        self._counts: dict[type[Telemetry], int] = dict.fromkeys(NAMES, 0)
+        self._counts: dict[type[Telemetry], int] = dict.fromkeys(COUNTED, 0)
         self._window_since_s: float | None = None
 
     def update(self, now_s: float, telemetry: Sequence[Telemetry]) -> bool:
@@ -239,7 +247,9 @@ class Survey:
         if elapsed_s >= WINDOW_S:
             rates_hz = {name: counts[kind] / elapsed_s for kind, name in NAMES.items()}
             changed |= rates_hz != self.rates_hz
-            self.rates_hz, self._counts = rates_hz, dict.fromkeys(NAMES, 0)
+            counts[ModeSample] -= counts[HeartbeatSample]  # every HEARTBEAT gives a mode sample too
+            self.missing = frozenset(name for kind, name in NAMES.items() if counts[kind] <= 0)
+            self.rates_hz, self._counts = rates_hz, dict.fromkeys(COUNTED, 0)
             self._window_since_s = now_s
         return changed
 

@@ -187,12 +187,17 @@ class AutopilotLink:
         """Why no HEARTBEAT was received, and what to do."""
         if self._translator.refused_signature is not None:
             return SIGNATURE_ADVICE[self._translator.refused_signature]
-        others = sorted(self._translator.other_systems)
+        others = self._translator.others
         if self._translator.refused_heartbeat:
             return self._translator.refused_heartbeat
-        if others:
-            received = ", ".join(str(system_id) for system_id in others)
+        if others.autopilots:
+            received = ", ".join(str(system_id) for system_id in sorted(others.autopilots))
             return f"received system {received} instead; correct the id here or in the autopilot (MAV_SYS_ID)"
+        if heard := str(others):
+            return (
+                f"received {heard}, and no autopilot; is it connected behind that, and does it send MAVLink to this port"
+                " (MAV_x_CONFIG, SERIALx_PROTOCOL) at the line's rate?"
+            )
         return self._link.problem()
 
     def close(self) -> None:

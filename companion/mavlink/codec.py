@@ -117,6 +117,11 @@ class Packet(Struct, gc=False):
         return unpacker.unpack_from(data, start)
 
     @property
+    def sequence(self) -> int:
+        """The sender counts its packets modulo 256."""
+        return self.data[4 if self.data[0] == MAVLINK_2 else 2]
+
+    @property
     def payload(self) -> bytes:
         """The bytes of the message, without the zeros at their end that are not sent."""
         start = PAYLOAD_AT[self.data[0]]
@@ -199,10 +204,10 @@ class SignedMavlink(mavlink.MAVLink):
     def refusal(self, packet: Packet) -> Code | None:
         """Why this packet is refused; one of SIGNATURE_CODES.
 
-        The protocol would accept an unsigned RADIO_STATUS, inserted by a radio; the agent does not use it.
+        A radio inserts its RADIO_STATUS unsigned, and the protocol accepts it. No agent uses it.
         """
         if not packet.is_signed:
-            return Code.MAVLINK_UNSIGNED
+            return None if packet.message_id == mavlink.MAVLINK_MSG_ID_RADIO_STATUS else Code.MAVLINK_UNSIGNED
         data = packet.data
         if hashlib.sha256(self._secret + data[:-HASH_BYTES]).digest()[:HASH_BYTES] != data[-HASH_BYTES:]:
             return Code.MAVLINK_WRONG_KEY

@@ -93,10 +93,12 @@ def attitude(values: Sequence[float], received_s: float) -> AttitudeSample | Non
     return AttitudeSample(received_s, *rounded(euler_enu_from_ned(*euler_ned), ANGLE_DECIMALS))
 
 
-def heartbeat(message: MavlinkMessage, autopilot: AutopilotKind, received_s: float) -> HeartbeatSample:
-    """Armed flag and state of HEARTBEAT, from an autopilot of this make."""
+def heartbeat(
+    message: MavlinkMessage, autopilot: AutopilotKind, received_s: float, interleaves: bool
+) -> HeartbeatSample:
+    """Armed flag and state of HEARTBEAT, from an autopilot of this make, or from two in turn."""
     armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-    return HeartbeatSample(received_s, armed, autopilot, message.system_status in FAILSAFE_STATES)
+    return HeartbeatSample(received_s, armed, autopilot, message.system_status in FAILSAFE_STATES, interleaves)
 
 
 def landed(message: MavlinkMessage, received_s: float) -> LandedSample:

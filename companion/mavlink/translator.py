@@ -12,6 +12,7 @@ from companion.mavlink.autopilot_types import DIALECTS, autopilot_kind, describe
 from companion.mavlink.clock import AutopilotClock
 from companion.mavlink.codec import SIGNATURE_CODES, MavlinkCodec, Packet, SigningKey, mavlink
 from companion.mavlink.dialect import Dialect, stream_request
+from companion.mavlink.senders import AUTOPILOT, OtherSenders, StreamOrder
 from companion.types.autopilot import (
     AttitudeTarget,
     AutopilotKind,
@@ -23,7 +24,6 @@ from companion.types.autopilot import (
 )
 from companion.types.notices import Code
 
-AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 THRUST_DECIMALS = 5
 
 Samples = tuple[Telemetry, ...]
@@ -44,13 +44,14 @@ class Translator:
         self._texts = telemetry.TextAssembler()
         self.clock = AutopilotClock()
         self.rejected: Counter[str] = Counter()  # damaged or implausible packets, by code
-        self.other_systems: set[int] = set()  # received system ids other than the own one
+        self.others = OtherSenders()
+        self._order = StreamOrder()
         self.refused_signature: Code | None = None  # why the last packet with a wrong signature was refused
         self.lacks_key = False  # the autopilot signs, and this agent has no key
         self._autopilot = autopilot
         self.refused_heartbeat = ""  # reason for the last refused HEARTBEAT
         self._samples_of: dict[int, Callable[[Packet, float], Samples]] = {
-            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: lambda p, s: (telemetry.position(p.values, s, self.clock),),
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._position,
             mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._attitude,
             mavlink.MAVLINK_MSG_ID_CURRENT_MODE: self._mode,
             mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: self._thrust,
@@ -80,9 +81,10 @@ class Translator:
         """All samples in these bytes, in order."""
         samples: list[Telemetry] = []
         for packet in self._codec.read(data):
-            if packet.system_id != self._system_id:
-                self.other_systems.add(packet.system_id)
-            elif packet.component_id == AUTOPILOT:
+            if packet.system_id != self._system_id or packet.component_id != AUTOPILOT:
+                self.others.receive(packet)
+            else:
+                self._order.receive(packet, received_s)
                 self.lacks_key = not self._has_key and packet.is_signed
                 if (samples_of := self._samples_of.get(packet.message_id)) is not None:
                     samples += samples_of(packet, received_s)
@@ -96,6 +98,11 @@ class Translator:
     def packets(self) -> list[bytes]:
         """Accepted packets of the last bytes, unchanged, including those of other systems and components."""
         return self._codec.packets
+
+    def _position(self, packet: Packet, received_s: float) -> Samples:
+        position = telemetry.position(packet.values, received_s, self.clock)
+        self._order.receive_clock(position.boot_time_s, received_s)
+        return (position,)
 
     def _attitude(self, packet: Packet, received_s: float) -> Samples:
         attitude = telemetry.attitude(packet.values, received_s)
@@ -115,7 +122,8 @@ class Translator:
             return ()
         self._autopilot = kind
         mode = ModeSample(received_s, *self.dialect.mode_of(message.custom_mode))
-        return (telemetry.heartbeat(message, kind, received_s), mode)
+        interleaves = self._order.interleaves(received_s)
+        return (telemetry.heartbeat(message, kind, received_s, interleaves), mode)
 
     def _describe_expected(self) -> str:
         expected = [DIALECTS[self._autopilot]] if self._autopilot else list(DIALECTS.values())

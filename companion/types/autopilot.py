@@ -92,6 +92,7 @@ class VehicleState(Struct, frozen=True, gc=False):
     failsafe_s: float = float("-inf")  # when the armed autopilot last reported a failsafe of its own
     estimator_healthy: bool = True  # as last reported; True where it is not reported
     battery_percent: float = -1.0  # -1 where unknown
+    interleaves: bool = False  # two autopilots with one system id send, or one over two ways
 
 
 def in_air(vehicle: VehicleState) -> bool:
@@ -168,12 +169,16 @@ class ModeSample(Struct, frozen=True, gc=False):
 
 
 class HeartbeatSample(Struct, frozen=True, gc=False):
-    """HEARTBEAT of the autopilot: its armed flag and its make. `critical`: MAV_STATE_CRITICAL or worse."""
+    """HEARTBEAT of the autopilot: its armed flag and its make. `critical`: MAV_STATE_CRITICAL or worse.
+
+    `interleaves`: two streams with the autopilot's system id arrive in turn.
+    """
 
     received_s: float
     armed: bool
     autopilot: AutopilotKind
     critical: bool = False
+    interleaves: bool = False
 
 
 class LandedSample(Struct, frozen=True, gc=False):

@@ -21,7 +21,7 @@ from companion.core.consensus.stage import Consensus
 from companion.core.formation.guidance import Guidance
 from companion.core.preflight import Fitness
 from companion.core.safety.failsafe import POSITION_IN_DOUBT, flags_notice
-from companion.core.safety.fleet_checks import FleetChecks, refusal_of_return
+from companion.core.safety.fleet_checks import FleetChecks, id_shared, refusal_of_return
 from companion.core.safety.safeguard import Safety
 from companion.types.autopilot import VehicleState
 from companion.types.commands import NUMBERS_AHEAD, Command, CommandName, CommandReply
@@ -200,6 +200,9 @@ class CommandDispatcher:
         name, number = command.name, command.number
         if name is CommandName.ABORT:
             return PhaseCommand(number, name)
+        leaves_ground = RULES[name].on_ground and name not in NEEDS_NOTHING
+        if leaves_ground and (shared := id_shared(vehicle)):  # the cause of what flags there are
+            return PhaseCommand(number, name, unfit=shared.about(name))
         if unfit := _raised(name, safety.flags):
             return PhaseCommand(number, name, unfit=flags_notice(unfit).about(name))
         refusal, warning = self._judge(name, vehicle, fitness, consensus, guidance)

@@ -223,7 +223,12 @@ class VehicleTracker:
         self._fields.update(mode=sample.mode, mode_name=sample.name, mode_time_s=sample.received_s)
 
     def _fold_heartbeat(self, sample: HeartbeatSample) -> None:
-        self._fields.update(autopilot=sample.autopilot, armed=sample.armed, heartbeat_time_s=sample.received_s)
+        self._fields.update(
+            autopilot=sample.autopilot,
+            armed=sample.armed,
+            heartbeat_time_s=sample.received_s,
+            interleaves=sample.interleaves,
+        )
         if sample.critical:
             self._report_failsafe(sample.received_s, "")
         elif not self._failsafe_text:

@@ -6,14 +6,14 @@ autopilot type; the rest is the same for every autopilot.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from math import dist
 
-from companion.core.autopilot import FenceSide, Judgement, ParameterRule
+from companion.core.autopilot import FenceSide, Judgement, ParameterRule, SentFrom
 from companion.core.autopilot import Verdict as Verdict
-from companion.core.safety.fleet_checks import NO_ALTITUDE, SET_ORIGIN
+from companion.core.safety.fleet_checks import NO_ALTITUDE, ONE_ID_EACH, SET_ORIGIN, TWO_STREAMS
 from companion.types.notices import Code
 from companion.types.values import Place, Vector3
 
@@ -73,13 +73,17 @@ class Facts:
 
     `parameters` are all requested ones, with None for no answer. `rates_hz` has the keys of MIN_RATES_HZ. `battery_percent`
     is -1 where the autopilot does not know it. `failing_checks` is the reason of failing preflight checks, "" where they pass.
-    `round_trip_s` is the shortest one to the autopilot and back.
+    `round_trip_s` is the shortest one to the autopilot and back. `missing` has the names of telemetry whose own message did
+    not arrive at all; where `messages` of the autopilot type has words for it, they replace its rate.
     """
 
     rules: tuple[ParameterRule, ...]  # what the autopilot type demands of the parameters
     parameters: Mapping[str, float | None]
     hover_thrust_norm: float  # configured in the vehicle file
     rates_hz: Mapping[str, float] | None = None
+    missing: Collection[str] = ()
+    messages: Mapping[str, SentFrom] = field(default_factory=dict)
+    interleaves: bool = False  # two streams with the autopilot's system id
     failing_checks: str | None = None
     position_check: PositionCheck | None = None
     position_enu_m: Vector3 | None = None
@@ -125,8 +129,14 @@ def worst(findings: tuple[AuditFinding, ...]) -> Verdict:
 
 
 def _findings(facts: Facts) -> Iterator[AuditFinding]:
+    if facts.interleaves:
+        wanted = "one stream of one autopilot"
+        yield AuditFinding("autopilot", Verdict.REFUSAL, Code.AUTOPILOT_ID_SHARED, TWO_STREAMS, wanted, ONE_ID_EACH)
     if facts.rates_hz is not None:
-        yield from (_rate(name, facts.rates_hz.get(name, 0.0), least_hz) for name, least_hz in MIN_RATES_HZ.items())
+        for name, least_hz in MIN_RATES_HZ.items():
+            rate_hz, message = facts.rates_hz.get(name, 0.0), facts.messages.get(name)
+            never = message is not None and name in facts.missing and rate_hz < least_hz
+            yield _missing(name, message) if message and never else _rate(name, rate_hz, least_hz)
     if facts.round_trip_s is not None:
         yield _round_trip(facts.round_trip_s)
     if facts.failing_checks is not None:
@@ -153,6 +163,12 @@ def _rate(name: str, rate_hz: float, least_hz: float) -> AuditFinding:
         return AuditFinding(name, Verdict.OK, None, f"{rate_hz:.1f} Hz", wanted)
     remedy = "a faster line (baud rate), fewer other streams on it (MAV_x_RATE, SRx_*), or another port"
     return AuditFinding(name, Verdict.REFUSAL, Code.TELEMETRY_SLOW, f"{rate_hz:.1f} Hz", wanted, remedy)
+
+
+def _missing(name: str, message: SentFrom) -> AuditFinding:
+    """No line is so slow that nothing of a message arrives while others do."""
+    wanted, found = f"{message.name}, which {message.senders} send", f"no {message.name}"
+    return AuditFinding(name, Verdict.REFUSAL, Code.MESSAGE_MISSING, found, wanted, message.remedy)
 
 
 def _round_trip(round_trip_s: float) -> AuditFinding:

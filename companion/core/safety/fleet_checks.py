@@ -23,6 +23,10 @@ NO_ALTITUDE = "the autopilot has no origin, and takes off to an altitude above s
 SET_ORIGIN = (
     "wait for the position fix; indoors set the origin once after its start (SET_GPS_GLOBAL_ORIGIN, altitude 0)"
 )
+TWO_STREAMS = (
+    "the sequence numbers or clocks of its packets go to and fro: two streams with this system id arrive in turn"
+)
+ONE_ID_EACH = "give each autopilot an id of its own (MAV_SYS_ID, SYSID_THISMAV), or let one arrive over one way only"
 FORMED = frozenset({FlightPhase.ENGAGE, FlightPhase.FORMATION})
 REFUSED_BELOW_SIGMAS = 3.0
 WARNED_BELOW_SIGMAS = 6.0  # at 5.2 four vehicles once came within 0.12 m of each other
@@ -73,6 +77,9 @@ class FleetChecks:
     def lacks(self, vehicle: VehicleState, peers: Collection[PeerPacket]) -> tuple[Notice, ...]:
         """The reasons why the vehicle must not leave the ground, each with its subject first."""
         found = (
+            Notice(Code.AUTOPILOT_ID_SHARED, f"autopilot: {TWO_STREAMS}; {ONE_ID_EACH}")
+            if vehicle.interleaves
+            else None,
             self._altitude_missing(vehicle),
             self._altitudes_differ(vehicle.position_enu_m[2], peers),
             self._too_near(vehicle, peers),
@@ -233,6 +240,13 @@ def home_shared(own_id: int, separation_m: float, home: Place, peers: Iterable[P
         f"home: the autopilots of vehicles {own_id} and {nearest} have homes {apart_m[nearest]:.2f} m apart; expected at"
         f" least separation_m, {separation_m:g} m",
     )
+
+
+def id_shared(vehicle: VehicleState) -> Notice | None:
+    """Two autopilots would obey each command."""
+    if not vehicle.interleaves:
+        return None
+    return Notice(Code.AUTOPILOT_ID_SHARED, f"autopilot: {TWO_STREAMS}; {ONE_ID_EACH}")
 
 
 def home_elsewhere(separation_m: float, vehicle: VehicleState) -> Notice | None:

@@ -21,6 +21,7 @@ from companion.core.autopilot import (
     Judgement,
     ParameterRule,
     Procedure,
+    SentFrom,
     Values,
     always,
     climb,
@@ -177,6 +178,14 @@ PARAMETERS: tuple[ParameterRule, ...] = (
     ParameterRule("MOT_THST_HOVER", Code.HOVER_THRUST_DIFFERS, NEAR_CONFIGURED, None, remedy=HOVER),
 )
 
+SENDERS, UPDATE = "ArduCopter 4.5 and newer", "update the firmware of the autopilot"
+# Its modes come in HEARTBEAT, without which there is no autopilot.
+MESSAGES = {
+    "positions": SentFrom("LOCAL_POSITION_NED", SENDERS, "wait: it comes once the estimator has a position"),
+    "attitudes": SentFrom("ATTITUDE_QUATERNION", SENDERS, UPDATE),
+    "landed states": SentFrom("EXTENDED_SYS_STATE", SENDERS, UPDATE),
+}
+
 # ArduCopter arms, climbs, holds and flies formation in GUIDED. It leaves formation for BRAKE.
 PROFILE = AutopilotProfile(
     modes=MODES
@@ -192,4 +201,5 @@ PROFILE = AutopilotProfile(
     takes_off_by_altitude=False,
     parameters=PARAMETERS,
     decide_in_silence=("GUID_TIMEOUT", "GUID_OPTIONS"),
+    messages=MESSAGES,
 )

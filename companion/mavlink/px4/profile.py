@@ -21,6 +21,7 @@ from companion.core.autopilot import (
     Judgement,
     ParameterRule,
     Procedure,
+    SentFrom,
     always,
     climb,
     differs,
@@ -167,6 +168,15 @@ PARAMETERS: tuple[ParameterRule, ...] = (
     ParameterRule("MPC_THR_HOVER", Code.HOVER_THRUST_DIFFERS, NEAR_CONFIGURED, None, remedy=HOVER),
 )
 
+OF_ONBOARD_LINKS = "set the MAV_x_MODE of this port to 2 (Onboard)"
+SENDERS = "PX4 v1.15 and newer"  # CURRENT_MODE came with it, the others are older
+MESSAGES = {
+    "positions": SentFrom("LOCAL_POSITION_NED", SENDERS, OF_ONBOARD_LINKS),
+    "attitudes": SentFrom("ATTITUDE_QUATERNION", SENDERS, OF_ONBOARD_LINKS),
+    "modes": SentFrom("CURRENT_MODE", SENDERS, "update the firmware of the autopilot"),
+    "landed states": SentFrom("EXTENDED_SYS_STATE", SENDERS, OF_ONBOARD_LINKS),
+}
+
 PROFILE = AutopilotProfile(
     modes=MODES
     | dict.fromkeys(ON_GROUND, frozenset({M.HOLD}))
@@ -181,4 +191,5 @@ PROFILE = AutopilotProfile(
     takes_off_by_altitude=True,
     parameters=PARAMETERS,
     decide_in_silence=("COM_OF_LOSS_T", "COM_OBL_RC_ACT"),
+    messages=MESSAGES,
 )

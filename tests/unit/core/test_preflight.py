@@ -11,8 +11,11 @@ from companion.core.preflight import ASK_PERIOD_S, REFRESH_PERIOD_S, WINDOW_S, P
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import (
     AutopilotKind,
+    AutopilotMode,
+    HeartbeatSample,
     LandedSample,
     LandedState,
+    ModeSample,
     ParameterSample,
     PositionSample,
     SystemSample,
@@ -23,6 +26,7 @@ from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 
 C, P = CommandName, FlightPhase
+MODE = ModeSample(0.1, AutopilotMode.HOLD, "AUTO.LOITER")
 
 
 def form(flight: FlightOnBytes) -> tuple[bool, Code, str]:
@@ -245,3 +249,38 @@ def test_a_fence_below_the_take_off_height_refuses_formation() -> None:
     accepted, code, reason = form(flight)
     assert (accepted, code) == (False, Code.AUDIT_REFUSAL)
     assert "GF_MAX_VER_DIST: 1.5 m (not above the take-off height, 2 m)" in reason
+
+
+@pytest.mark.parametrize(
+    ("kind", "message", "found"),
+    [
+        (PX4, "CURRENT_MODE", "modes: no CURRENT_MODE; wanted: CURRENT_MODE, which PX4 v1.15 and newer send; update"),
+        (
+            PX4,
+            "EXTENDED_SYS_STATE",
+            "landed states: no EXTENDED_SYS_STATE; wanted: EXTENDED_SYS_STATE, which PX4 v1.15",
+        ),
+        (ARDUPILOT, "ATTITUDE_QUATERNION", "which ArduCopter 4.5 and newer send; update the firmware"),
+        (ARDUPILOT, "LOCAL_POSITION_NED", "wait: it comes once the estimator has a position"),
+    ],
+)
+def test_a_message_that_never_comes_is_named_with_the_version_that_sends_it(
+    kind: AutopilotKind, message: str, found: str
+) -> None:
+    flight = FlightOnBytes(kind)
+    flight.autopilot.withheld = (message,)
+    flight.ticks(2.0 * WINDOW_S + 0.1)
+    assert flight.status is not None
+    (missing,) = [notice for notice in flight.status.safety.lacks if notice.code is Code.MESSAGE_MISSING]
+    assert found in missing.text
+    assert "line" not in missing.text
+    assert Code.TELEMETRY_SLOW not in [notice.code for notice in flight.status.safety.lacks]
+
+
+def test_a_message_that_comes_too_seldom_is_slow() -> None:
+    survey = Survey()
+    survey.update(0.0, [])
+    survey.update(WINDOW_S, [HeartbeatSample(0.1, False, PX4), MODE, MODE, POSITION])
+    assert survey.missing == {"attitudes", "landed states"}
+    survey.update(2.0 * WINDOW_S, [HeartbeatSample(0.1, False, PX4), MODE, POSITION])
+    assert survey.missing == {"attitudes", "landed states", "modes"}

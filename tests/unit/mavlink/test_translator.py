@@ -181,7 +181,7 @@ def test_only_the_own_autopilot_is_decoded() -> None:
     message = mavlink.MAVLink_local_position_ned_message(1500, 1, 2, 3, 0, 0, 0)
     assert translator.telemetry(from_autopilot(message, system_id=4), 9.0) == []
     assert translator.telemetry(from_autopilot(message, component_id=100), 9.0) == []
-    assert translator.other_systems == {4}
+    assert str(translator.others) == "system 3, component 100, system 4, component 1"
 
 
 def test_other_make_of_autopilot_is_counted_and_not_used() -> None:
