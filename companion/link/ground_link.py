@@ -23,8 +23,8 @@ from companion.types.notices import Code
 
 READ_BYTES = 2048  # ground stations send at most an Ethernet frame
 DATAGRAMS_PER_WAKE_UP = 4  # the rest wakes the loop again, after a tick that may be due
-PACE_S = 0.005  # one packet to the autopilot at a time, at most 200 a second
-MOST_WAITING = 32  # packets; the last of them is sent within 0.16 s while the link is free
+PACE_S = 0.0025  # one packet to the autopilot at a time, at most 400 a second: all of motion capture and RTK at 20 Hz
+MOST_WAITING = 32  # packets; the last of them is sent within 0.08 s while the link is free
 LONGEST_WAIT_S = 0.25  # a command that is later than this is better repeated by the ground station
 NOT_REACHED = (errno.ECONNREFUSED, errno.EAGAIN)  # no ground station yet, or a full buffer: packets lost, not logged
 

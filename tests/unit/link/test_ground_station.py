@@ -124,6 +124,32 @@ FROM_A_PILOT = [
     mavlink.MAVLink_param_request_read_message(3, 1, b"GUID_OPTIONS", -1),
 ]
 
+UNKNOWN = [float("nan")] * 21
+MEASUREMENTS = [  # of a program beside the agent that feeds positions and corrections
+    mavlink.MAVLink_vision_position_estimate_message(1, 0, 0, 0, 0, 0, 0),
+    mavlink.MAVLink_att_pos_mocap_message(1, [1, 0, 0, 0], 0, 0, 0),
+    mavlink.MAVLink_odometry_message(1, 1, 12, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0, 0, 0, 0, UNKNOWN, UNKNOWN),
+    mavlink.MAVLink_vision_speed_estimate_message(1, 0, 0, 0),
+    mavlink.MAVLink_vicon_position_estimate_message(1, 0, 0, 0, 0, 0, 0),
+    mavlink.MAVLink_global_vision_position_estimate_message(1, 0, 0, 0, 0, 0, 0),
+    mavlink.MAVLink_gps_input_message(1, 0, 0, 0, 0, 3, 0, 0, 0, 1, 1, 0, 0, 0, 1, 1, 1, 10),
+    mavlink.MAVLink_gps_inject_data_message(3, 1, 110, [0] * 110),
+    mavlink.MAVLink_distance_sensor_message(1, 10, 1000, 150, 0, 0, 25, 0),
+    mavlink.MAVLink_optical_flow_message(1, 0, 1, 1, 0.0, 0.0, 255, 1.0),
+    mavlink.MAVLink_optical_flow_rad_message(1, 0, 20000, 0, 0, 0, 0, 0, 0, 255, 0, 1.0),
+    mavlink.MAVLink_obstacle_distance_message(1, 0, [100] * 72, 5, 10, 1000),
+    mavlink.MAVLink_wheel_distance_message(1, 2, [0.0] * 16),
+    mavlink.MAVLink_terrain_data_message(473977420, 85455940, 30, 0, [488] * 16),
+    mavlink.MAVLink_landing_target_message(1, 0, 12, 0, 0, 1, 0, 0),
+]
+
+
+@pytest.mark.parametrize("message", MEASUREMENTS, ids=lambda message: message.get_type())
+def test_a_measurement_that_passes_before_arming_passes_in_flight(message: MavlinkMessage) -> None:
+    for phase in P:
+        admission, data = GroundStationFilter(3, OWN), encoded(message)
+        assert (admission.admit(data, phase), admission.refused) == ([data], {}), phase
+
 
 @pytest.mark.parametrize("phase", sorted(AGENT_FLIES))
 def test_only_the_listed_packets_pass_while_the_agent_flies(phase: FlightPhase) -> None:
