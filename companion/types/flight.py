@@ -56,6 +56,7 @@ OF_THE_FLEET = WITHOUT_LEADER | {
     HealthFlag.FLEET_LINK_LOST,
     HealthFlag.SEPARATION_VIOLATED,
     HealthFlag.NOT_SHAKEN_OFF,
+    HealthFlag.PEER_IN_DOUBT,
 }
 BATTERY_FLAGS = frozenset({HealthFlag.BATTERY_LOW, HealthFlag.BATTERY_CRITICAL})
 

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from common import with_fields
 from companion.types.commands import CommandName
-from companion.types.flight import FlightPhase
+from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.types.values import Vector3
@@ -129,3 +129,48 @@ def test_a_stream_of_claimed_accelerations_carries_no_vehicle_away(
     assert {agent.phase for agent in fleet.agents.values()} == {FlightPhase.FORMATION}
     for i in fleet.agents.keys() - {liar}:
         assert fleet.statuses[i].rejected[f"{Code.PEER_ACCELERATION_LIMITED} {liar}"] == round(STREAM_S / TICK_S)
+
+
+VELOCITIES_S, MOVED_M = 8.0, 1.0
+JUMPED_M = 3.0
+
+
+def deceived(fleet: HostileFleet, liar: int, jumps: bool) -> list[dict[int, Vector3]]:
+    """Positions in each tick while this vehicle sends +-11.9 m/s in turn, or positions that jump to and fro each second."""
+    positions = []
+    for tick in range(round(VELOCITIES_S / TICK_S)):
+        packet = fleet.packets[liar]
+        if jumps:
+            x, y, z = packet.motion.position_enu_m
+            moved_m = JUMPED_M if tick * TICK_S % 2.0 >= 1.0 else 0.0
+            fleet.packets[liar] = with_fields(packet, position_enu_m=(x, y, z + moved_m))
+        else:
+            fleet.packets[liar] = with_fields(packet, velocity_enu_m_s=along(0, 11.9 if tick % 2 else -11.9))
+        fleet.tick()
+        positions.append({i: plant.position_enu_m for i, plant in fleet.plants.items()})
+    return positions
+
+
+@pytest.mark.parametrize("liar", [LEADER, FOLLOWER])
+def test_velocities_that_the_positions_contradict_move_no_vehicle_far(settled: HostileFleet, liar: int) -> None:
+    """It was 4.0 m and 5.4 m, and 15 m where followers confirmed the false velocity to each other."""
+    undisturbed = carried(deepcopy(settled), None, along(0, 0.0))
+    fleet = deepcopy(settled)
+    disturbed = deceived(fleet, liar, jumps=False)
+    for i in fleet.agents:
+        assert max(dist(a[i], b[i]) for a, b in zip(disturbed, undisturbed, strict=False)) < MOVED_M
+    for i in fleet.agents.keys() - {liar}:
+        assert HealthFlag.PEER_IN_DOUBT in fleet.statuses[i].safety.flags
+        assert fleet.statuses[i].rejected[f"{Code.PEER_IN_DOUBT} {liar}"] > 0
+        assert liar not in fleet.statuses[i].neighbourhood.neighbours
+
+
+@pytest.mark.parametrize("liar", [LEADER, FOLLOWER])
+def test_a_position_that_jumps_each_second_is_not_followed(settled: HostileFleet, liar: int) -> None:
+    fleet = deepcopy(settled)
+    positions = deceived(fleet, liar, jumps=True)
+    for i in fleet.agents.keys() - {liar}:
+        assert HealthFlag.PEER_IN_DOUBT in fleet.statuses[i].safety.flags
+        assert liar not in fleet.statuses[i].neighbourhood.neighbours
+    distances_m = [dist(at[i], at[j]) for at in positions for i, j in combinations(at, 2)]
+    assert min(distances_m) >= fleet.config.separation_m

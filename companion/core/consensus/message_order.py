@@ -114,10 +114,13 @@ def following(
         return before, Disorder.OUT_OF_ORDER
     if agrees:
         if late_s < 0.0:
-            after = _lowered(clock, received_s, least_s, -late_s)
+            most_s = STEP_S if clock.support > LATE_MESSAGES / 2 else EARLY_S
+            step_s = -late_s if -late_s < most_s else most_s
+            least_s, left = least_s - step_s, 1.0 - step_s / AGREES_S
+            support = clock.support * left + 1.0 if left > 0.0 else 1.0
         else:
             support = clock.support if late else clock.support + 1.0
-            after = ClockOffset(least_s, received_s, support if support < LATE_MESSAGES else LATE_MESSAGES)
+        after = ClockOffset(least_s, received_s, support if support < LATE_MESSAGES else LATE_MESSAGES)
         delay_s = apart_s - after.least_apart_s
         delay_s = delay_s if delay_s > 0.0 else 0.0  # not max(): it is slow, and every packet comes here
         if not late or clock.is_established:
@@ -131,15 +134,6 @@ def following(
     if agrees:
         return Stream(session, sequence, after, rival, delay_s), None
     return Stream(session, before.sequence, clock, rival), Disorder.LATE if late else Disorder.TIME
-
-
-def _lowered(clock: ClockOffset, received_s: float, least_s: float, early_s: float) -> ClockOffset:
-    """The offset after a message that came earlier than `least_s`, the offset at this time, allows."""
-    most_s = STEP_S if clock.support > LATE_MESSAGES / 2 else EARLY_S
-    step_s = early_s if early_s < most_s else most_s
-    left = 1.0 - step_s / AGREES_S
-    support = clock.support * left + 1.0 if left > 0.0 else 1.0
-    return ClockOffset(least_s - step_s, received_s, support if support < LATE_MESSAGES else LATE_MESSAGES)
 
 
 def replaces(rival: ClockOffset, offset: ClockOffset) -> bool:

@@ -13,11 +13,12 @@ from math import dist, hypot, inf, isfinite, pi
 from msgspec import Struct
 from msgspec.structs import replace
 
+from companion.core.consensus.coherence import Coherence, coherent
 from companion.core.consensus.law import FormationState
 from companion.core.consensus.message_order import Disorder, Stream, following
 from companion.geometry.vectors import extrapolated, shortened
 from companion.types.commands import MAX_EPOCH
-from companion.types.flight import Role
+from companion.types.flight import STREAMING, Role
 from companion.types.formation import FlownSlot, FormationChange, Term
 from companion.types.notices import Code
 from companion.types.peers import LeaderReport, PeerPacket, ReceivedPeerPacket
@@ -173,6 +174,7 @@ class PeerState(Struct, frozen=True, gc=False):
     measured_s: float
     term: Term = (0, 0)  # term in the packet's leader beacon, (0, 0) without a beacon
     proven: bool = True  # False: no more than hearsay of this term
+    contradicts: bool = False  # positions and velocities do not agree; the velocity is that by the positions
 
     def position_at(self, now_s: float) -> Vector3:
         """Position extrapolated over its age, so that both sides of x_i - x_j refer to the same time."""
@@ -239,6 +241,7 @@ class PeerTable:
         self._streams: dict[int, Stream] = {}
         self._distant: frozenset[int] = frozenset()
         self.low_rate_s: dict[int, float] = {}  # when each of those was last distant
+        self._coherence: dict[int, Coherence] = {}
         self.known: dict[int, PeerState] = {}  # the newest state of each peer, of any age
         self.rejected: Counter[str] = Counter()
         self.duplicate_id_s = -inf  # when a packet of a second agent with a known id last came
@@ -296,24 +299,46 @@ class PeerTable:
             packet = self._within_limits(packet, most_m_s2)
         measured_s = received_s - stream.late_s - motion.state_age_s
         term = (beacon.epoch, -beacon.claim) if beacon is not None else (0, 0)
+        contradicts = False
+        if packet.armed or packet.phase in STREAMING:
+            found = self._coherence[vehicle_id] = coherent(
+                self._coherence.get(vehicle_id),
+                measured_s,
+                motion.position_enu_m,
+                motion.velocity_enu_m_s,
+                most_m_s2,
+            )
+            contradicts = found.contradicts
+            if contradicts:
+                packet = self._in_doubt(packet, found)
         self.known[vehicle_id] = PeerState(
-            packet, received_s, stream.clock.least_apart_s, measured_s, term, received.proven
+            packet, received_s, stream.clock.least_apart_s, measured_s, term, received.proven, contradicts
         )
         return None
 
     def in_time(self, now_s: float) -> tuple[dict[int, PeerState], dict[int, PeerState]]:
         """(fresh, present) peers: those not older than `peers.max_age_s`, without the distant ones; and these as well.
 
-        The state of a distant peer may be as old as it is at 5 Hz.
+        The state of a distant peer may be as old as it is at 5 Hz. One that contradicts itself counts as silent.
         """
-        fresh = {i: peer for i, peer in self.known.items() if now_s - peer.measured_s <= self._max_age_s}
+        fresh = {
+            i: peer
+            for i, peer in self.known.items()
+            if now_s - peer.measured_s <= self._max_age_s and not peer.contradicts
+        }
         if not self.low_rate_s:
             return fresh, fresh
         for i in self._distant & fresh.keys():
             del fresh[i]
         return fresh, {
-            i: peer for i, peer in self.known.items() if i in fresh or now_s - peer.measured_s <= self._age_limit_s(i)
+            i: peer
+            for i, peer in self.known.items()
+            if i in fresh or (now_s - peer.measured_s <= self._age_limit_s(i) and not peer.contradicts)
         }
+
+    def in_doubt(self, now_s: float) -> tuple[int, ...]:
+        """The peers that contradict themselves, while they send."""
+        return tuple([i for i, p in self.known.items() if p.contradicts and now_s - p.measured_s <= self._max_age_s])
 
     def _age_limit_s(self, vehicle_id: int) -> float:
         return max(self._max_age_s, DISTANT_MAX_AGE_S) if vehicle_id in self.low_rate_s else self._max_age_s
@@ -322,6 +347,13 @@ class PeerTable:
         """The packet as of a follower that knows no leader. Its position is needed for separation."""
         self._count(Code.PEER_EPOCH_TOO_HIGH, packet.sender.vehicle_id)
         return replace(packet, role=Role.FOLLOWER, leader=LeaderReport(len(self._fleet.may_lead), None), change=None)
+
+    def _in_doubt(self, packet: PeerPacket, found: Coherence) -> PeerPacket:
+        """The packet with the velocity by its positions and no acceleration: it is kept off, not followed."""
+        self._count(Code.PEER_IN_DOUBT, packet.sender.vehicle_id)
+        moves_enu_m_s = shortened(found.moves_enu_m_s, self._limits.speed_m_s)
+        motion = replace(packet.motion, velocity_enu_m_s=moves_enu_m_s, acceleration_enu_m_s2=ZERO3)
+        return replace(packet, motion=motion)
 
     def _within_limits(self, packet: PeerPacket, most_m_s2: float) -> PeerPacket:
         """The packet with accelerations that this fleet can fly: the law feeds them forward. Its position remains usable."""

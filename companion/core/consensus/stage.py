@@ -96,6 +96,7 @@ class PeerSets(Struct, frozen=True, gc=False):
     fresh: Mapping[int, PeerState] = {}  # received at 50 Hz and in time: law and separation filter use these
     flying: tuple[PeerPacket, ...] = ()  # the present ones in a cooperating phase
     duplicate_id_s: float = -inf  # when a packet of a second agent with a known id last came
+    in_doubt: tuple[int, ...] = ()  # those that send positions and velocities that contradict each other
     rejected: Mapping[str, int] = {}
 
     @property
@@ -210,12 +211,14 @@ class ConsensusStage:
                 heading=heading,
             ),
             neighbours=Neighbours(followed, states),
-            peers=self._sets(fresh, present, flying),
+            peers=self._sets(now_s, fresh, present, flying),
             answers=answers,
             events=events + changes + settled + claimed,
         )
 
-    def _sets(self, fresh: dict[int, PeerState], present: dict[int, PeerState], flying: list[PeerPacket]) -> PeerSets:
+    def _sets(
+        self, now_s: float, fresh: dict[int, PeerState], present: dict[int, PeerState], flying: list[PeerPacket]
+    ) -> PeerSets:
         table = self.peers
         return PeerSets(
             known=dict(table.known),
@@ -223,6 +226,7 @@ class ConsensusStage:
             fresh=fresh,
             flying=tuple(flying),
             duplicate_id_s=table.duplicate_id_s,
+            in_doubt=table.in_doubt(now_s) if len(present) < len(table.known) else (),
             rejected=table.rejected,
         )
 

@@ -134,7 +134,8 @@ class SetpointStage:
         elif before.streams and self._listens_in_silence(vehicle):
             attitude_target = stream.final_level_setpoint(now_s)
         rft = None
-        if phase is not FORMATION:
+        # The RFT of before may be that of a peer in doubt, and followers would confirm it to each other.
+        if phase is not FORMATION or consensus.peers.in_doubt:
             self._kept_off.end()
         elif self._removed_m_s2 > 0.0 or self._kept_off.is_kept_off:
             rft = self._published_rft(now_s, vehicle, consensus, guidance)

@@ -214,6 +214,8 @@ class Motions:
         self._silence_on_ground = replace(silence, lands=False)
         # A vehicle that is leaving formation, in hold, landing or under a pilot: no command says what it flies next.
         self._on_its_own = Silence(-inf, 0.0, KEPT_S, AUTOPILOT_BRAKES_M_S2, silence.most_m_s, lands=False)
+        # One that contradicts itself sends, and no number of it is believed but where it is.
+        self._in_doubt = replace(silence, begins_s=-inf, lands=False)
         self._own_enu_m_s2 = ZERO3
         self._own_s: float | None = None
         self._lagged_enu_m_s2: dict[int, Vector3] = {}
@@ -267,6 +269,8 @@ class Motions:
             silence: Silence | None = None  # it flies by the last command of its packet
             if age_s > begins_s:
                 silence = self._silence if packet.armed else self._silence_on_ground
+            elif peer.contradicts:
+                silence = self._in_doubt
             elif packet.armed and packet.phase not in STREAMING:
                 silence = self._on_its_own
             makes_way = is_fresh and packet.phase is FORMATION

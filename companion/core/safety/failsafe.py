@@ -106,6 +106,7 @@ FAILSAFES: tuple[Failsafe, ...] = (
     Failsafe(C.DUPLICATE_ID, "at once", (WARN,), "{} s without such a packet", stays_s=3.0),
     Failsafe(C.SEPARATION_VIOLATED, "at once", (WARN,), "a distance of `separation_m`"),
     Failsafe(C.NOT_SHAKEN_OFF, "pressed for 2 s, or for 5 m", (WARN,), "some seconds without pressure"),
+    Failsafe(C.PEER_IN_DOUBT, "off for 0.6 s", (WARN,), "states that agree for about 2 s"),
     Failsafe(C.OUTSIDE_FENCE, "at once", (HOLD,), "a position inside the fence"),
     Failsafe(C.FRAME_CONTRADICTED, "at once", (HOLD,), "an origin and a global position that agree"),
     # A new origin explains a jump; it comes within ORIGIN_WITHIN_S.
@@ -207,12 +208,14 @@ def flags_notice(flags: Collection[HealthFlag]) -> Notice:
     return Notice(Code(ordered[0]), ", ".join([FLAG_TEXTS[flag] for flag in ordered]))
 
 
-def named_notice(flag: HealthFlag, separation: SeparationReport) -> Notice:
+def named_notice(flag: HealthFlag, consensus: Consensus, separation: SeparationReport) -> Notice:
     """The notice of one flag that begins, with the names of the vehicles that it is about."""
-    notice = flags_notice([flag])
+    notice, names = flags_notice([flag]), ""
     if flag is HealthFlag.NOT_SHAKEN_OFF:
-        notice = Notice(notice.code, f"{notice.text}: {', '.join(separation.unshaken)}")
-    return notice
+        names = ", ".join(separation.unshaken)
+    elif flag is HealthFlag.PEER_IN_DOUBT:
+        names = ", ".join(map(str, consensus.peers.in_doubt))
+    return Notice(notice.code, f"{notice.text}: {names}") if names else notice
 
 
 # Positions that peers must not use; positions that the vehicle itself does not know.
@@ -294,6 +297,8 @@ def fleet_flags(
         flags.add(F.DUPLICATE_ID)
     if separation.violated:
         flags.add(F.SEPARATION_VIOLATED)
+    if consensus.peers.in_doubt:
+        flags.add(F.PEER_IN_DOUBT)
     if separation.unshaken:
         flags.add(F.NOT_SHAKEN_OFF)
     return flags

@@ -23,6 +23,7 @@ class Code(StrEnum):
     DUPLICATE_ID = "DUPLICATE_ID"
     SEPARATION_VIOLATED = "SEPARATION_VIOLATED"
     NOT_SHAKEN_OFF = "NOT_SHAKEN_OFF"
+    PEER_IN_DOUBT = "PEER_IN_DOUBT"
     ESTIMATOR_BAD = "ESTIMATOR_BAD"
     POSITION_UNAIDED = "POSITION_UNAIDED"
     TILT_EXCEEDED = "TILT_EXCEEDED"
@@ -250,6 +251,7 @@ class HealthFlag(StrEnum):
     DUPLICATE_ID = "DUPLICATE_ID"
     SEPARATION_VIOLATED = "SEPARATION_VIOLATED"
     NOT_SHAKEN_OFF = "NOT_SHAKEN_OFF"
+    PEER_IN_DOUBT = "PEER_IN_DOUBT"
     OUTSIDE_FENCE = "OUTSIDE_FENCE"
     FRAME_CONTRADICTED = "FRAME_CONTRADICTED"
     POSITION_JUMPED = "POSITION_JUMPED"
@@ -278,6 +280,7 @@ TEXTS: dict[str, str] = {
     "DUPLICATE_ID": "two agents use the same vehicle id",
     "SEPARATION_VIOLATED": "another vehicle is nearer than separation_m",
     "NOT_SHAKEN_OFF": "no evasion shakes off another vehicle",
+    "PEER_IN_DOUBT": "position and velocity of another vehicle contradict each other",
     "ESTIMATOR_BAD": "the autopilot's estimator reports a bad position",
     "POSITION_UNAIDED": "the autopilot dead-reckons: GPS or vision is lost",
     "TILT_EXCEEDED": "tilted beyond the limit",

@@ -59,6 +59,7 @@ IN_FORMATION: dict[HealthFlag, dict[str, float]] = {
     F.DUPLICATE_ID: {"warn": 0.0},
     F.SEPARATION_VIOLATED: {"warn": 0.0},
     F.NOT_SHAKEN_OFF: {"warn": 0.0},
+    F.PEER_IN_DOUBT: {"warn": 0.0},
     F.OUTSIDE_FENCE: {"hold": 0.0},
     F.FRAME_CONTRADICTED: {"hold": 0.0},
     F.POSITION_JUMPED: {"hold": 0.0},
@@ -185,6 +186,7 @@ class Vehicle:
                 present=in_time,
                 fresh=in_time,
                 duplicate_id_s=self.now_s if F.DUPLICATE_ID in self.raised else -inf,
+                in_doubt=(4,) if F.PEER_IN_DOUBT in self.raised else (),
             ),
         )
 

@@ -1,0 +1,91 @@
+"""Whether the positions and velocities that a vehicle sends agree with each other.
+
+The problem. Each packet alone may be plausible, and all of them together not: true positions with a velocity of 12 m/s to and
+fro, or a position that jumps by 3 m each second. The law and the separation filter extrapolate by these numbers, so either one
+moves the vehicles around.
+
+The model. What is left of a step of the position after the mean of both velocities is summed up, forgotten within FORGOTTEN_S:
+where the position has gone without a velocity. A constant error of the velocity of 1.5 m/s reaches OFF_M. What is left of a
+change of the velocity after what a vehicle can accelerate is summed up likewise, without direction. Both sums are bounded, so
+that one jump, as of an estimator that corrects itself, is forgotten within 0.35 s. A vehicle that is off for IN_DOUBT_S in all
+contradicts itself; one second in which it agrees makes good for RECOVERS seconds.
+
+Honest vehicles stay far below: the velocity of a stock EKF2 is off by 0.4 m/s, agents smooth the jumps of their own position
+(`estimation/corrections.py`), and steps are taken over the times of the positions, so delays and lost packets do not count.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from msgspec import Struct
+
+from companion.types.values import ZERO3, Vector3
+
+FORGOTTEN_S = 0.5
+OFF_M, OFF_M_S = 0.75, 1.5  # sums from which on position or velocity are off
+MOST = 2.0  # each sum is at most this times its limit
+NOISE_M_S = 0.3  # a velocity may change by so much at any time
+BEND_M_S2 = 5.0  # two velocities may misjudge the distance between them by this times the time squared
+LONGEST_STEP_S = 0.5  # the motion in a longer one is unknown
+COUNTS_S = 0.1  # one state is off for so long at most: one jump over a gap is no contradiction either
+IN_DOUBT_S, MOST_DOUBT_S, TRUSTED_S = 0.45, 0.65, 0.2
+RECOVERS = 0.2
+
+
+class Coherence(Struct, frozen=True, gc=False):
+    """What was found of one sender up to a state: position and velocity as sent, measured at `measured_s`.
+
+    `off_enu_m`: where the position has gone without a velocity; `off_m_s`: changes of velocity that nothing flies. `doubt_s`:
+    for how long it was off, less what it made good. `moves_enu_m_s`: velocity by the positions alone.
+    """
+
+    measured_s: float
+    position_enu_m: Vector3
+    velocity_enu_m_s: Vector3
+    moves_enu_m_s: Vector3
+    off_enu_m: Vector3 = ZERO3
+    off_m_s: float = 0.0
+    doubt_s: float = 0.0
+    contradicts: bool = False
+
+
+def coherent(
+    before: Coherence | None, measured_s: float, position_enu_m: Vector3, velocity_enu_m_s: Vector3, most_m_s2: float
+) -> Coherence:
+    """What is known after a state. `most_m_s2`: the largest acceleration of this fleet."""
+    if before is None or measured_s - before.measured_s > LONGEST_STEP_S:
+        return Coherence(measured_s, position_enu_m, velocity_enu_m_s, velocity_enu_m_s)
+    step_s = measured_s - before.measured_s
+    if step_s < 0.0:
+        step_s = 0.0
+    (x, y, z), (vx, vy, vz) = position_enu_m, velocity_enu_m_s
+    (x0, y0, z0), (vx0, vy0, vz0) = before.position_enu_m, before.velocity_enu_m_s
+    (ox, oy, oz), half_s, left = before.off_enu_m, 0.5 * step_s, FORGOTTEN_S / (FORGOTTEN_S + step_s)
+    dx, dy, dz = x - x0, y - y0, z - z0
+    ox, oy, oz = ox + dx - (vx + vx0) * half_s, oy + dy - (vy + vy0) * half_s, oz + dz - (vz + vz0) * half_s
+    ox, oy, oz = ox * left, oy * left, oz * left
+    off_m, limit_m = sqrt(ox * ox + oy * oy + oz * oz), OFF_M + BEND_M_S2 * step_s * step_s
+    if off_m > MOST * OFF_M:
+        scale = MOST * OFF_M / off_m
+        ox, oy, oz = ox * scale, oy * scale, oz * scale
+    ax, ay, az = vx - vx0, vy - vy0, vz - vz0
+    off_m_s = before.off_m_s + sqrt(ax * ax + ay * ay + az * az) - most_m_s2 * step_s - NOISE_M_S
+    off_m_s = off_m_s * left if off_m_s > 0.0 else 0.0
+    if off_m_s > MOST * OFF_M_S:
+        off_m_s = MOST * OFF_M_S
+    doubt_s = before.doubt_s
+    if off_m > limit_m or off_m_s > OFF_M_S:
+        doubt_s += step_s if step_s < COUNTS_S else COUNTS_S
+        if doubt_s > MOST_DOUBT_S:
+            doubt_s = MOST_DOUBT_S
+    elif doubt_s > 0.0:
+        doubt_s = doubt_s - RECOVERS * step_s if doubt_s > RECOVERS * step_s else 0.0
+    (mx, my, mz), new = before.moves_enu_m_s, 1.0 - left
+    if step_s > 0.0:
+        share = new / step_s
+        mx, my, mz = mx * left + dx * share, my * left + dy * share, mz * left + dz * share
+    contradicts = doubt_s > (TRUSTED_S if before.contradicts else IN_DOUBT_S)
+    return Coherence(
+        measured_s, position_enu_m, velocity_enu_m_s, (mx, my, mz), (ox, oy, oz), off_m_s, doubt_s, contradicts
+    )
