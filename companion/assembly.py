@@ -30,7 +30,7 @@ from companion.core.estimation.vehicle import VehicleTracker
 from companion.core.estimation.wind import DisturbanceObserver
 from companion.core.filter.filter import Bounds, SafetyFilter, SpeedLimit
 from companion.core.filter.solver import AccelerationLimits
-from companion.core.filter.vehicles import PLANNED_SHARE, SeparationSettings
+from companion.core.filter.vehicles import ALONE_SHARE, PLANNED_SHARE, SeparationSettings
 from companion.core.formation.entry import FormationEntry, Joining, LeadIn
 from companion.core.formation.gaps import GapFilling
 from companion.core.formation.guidance import GuidanceStage
@@ -88,6 +88,8 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
         slots_have_height=law.altitude == "formation",
         ground_spread_m=fleet.ground_spread_m,
         separation_m=fleet.separation_m,
+        braking_m_s2=ALONE_SHARE * PLANNED_SHARE * GRAVITY_M_S2 * tan(envelope.max_tilt_rad),
+        successors=frozenset(fleet.successors),
         take_off_by_altitude=frozenset(kind for kind, profile in PROFILES.items() if profile.takes_off_by_altitude),
     )
     return Agent(
@@ -98,7 +100,7 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
         arbitration=CommandArbitration(session),
         consensus=_consensus(fleet, member.id, identity.formation_hash),
         guidance=_guidance(config),
-        safeguard=SafeguardStage(member.id, fleet.separation_m, health, _failsafes(fleet), PROFILES),
+        safeguard=SafeguardStage(checks, health, _failsafes(fleet), PROFILES),
         dispatcher=CommandDispatcher(checks),
         setpoint=_setpoint(config, SetpointStream(envelope, observer), limit_of(Code.POSITION_STALE)),
         distant_peers=_distant_peers(fleet, member.id) if fleet.has_distant_peers else None,

@@ -17,7 +17,7 @@ from companion.core.filter.filter import Interventions
 from companion.core.formation.guidance import Guidance
 from companion.core.preflight import Fitness
 from companion.core.safety.failsafe import POSITION_WRONG
-from companion.core.safety.fleet_checks import FleetChecks, refusal_of_return
+from companion.core.safety.fleet_checks import FleetChecks
 from companion.core.safety.safeguard import Safety
 from companion.types.autopilot import AutopilotRequest, VehicleState
 from companion.types.commands import CommandName
@@ -197,5 +197,4 @@ class ReportStage:
         """So that the ground can ask all vehicles before it commands one."""
         if flight.phase not in RULES[CommandName.RETURN].allowed:
             return None
-        checks = self._checks
-        return refusal_of_return(checks.own_id, checks.separation_m, vehicle, consensus.peers.packets)
+        return self._checks.refusal_of_return(vehicle, consensus.peers.present.values(), consensus.lead.role)

@@ -21,7 +21,7 @@ from companion.core.consensus.stage import Consensus
 from companion.core.formation.guidance import Guidance
 from companion.core.preflight import Fitness
 from companion.core.safety.failsafe import POSITION_IN_DOUBT, flags_notice
-from companion.core.safety.fleet_checks import FleetChecks, id_shared, refusal_of_return
+from companion.core.safety.fleet_checks import FleetChecks, id_shared
 from companion.core.safety.safeguard import Safety
 from companion.types.autopilot import VehicleState
 from companion.types.commands import NUMBERS_AHEAD, Command, CommandName, CommandReply
@@ -214,7 +214,8 @@ class CommandDispatcher:
         """(refusal, warning) of a command that is otherwise possible."""
         checks, peers = self._checks, consensus.peers.packets
         if name is CommandName.RETURN:
-            return refusal_of_return(checks.own_id, checks.separation_m, vehicle, peers), None
+            refusal = checks.refusal_of_return(vehicle, consensus.peers.present.values(), consensus.lead.role)
+            return refusal, checks.judge(name, vehicle, guidance.slot, peers, consensus.lead.role)[1]
         if name is CommandName.FORM and (refusal := _refusal_to_form(fitness, consensus, guidance)):
             return refusal, None
         refusal, warning = checks.judge(name, vehicle, guidance.slot, peers, consensus.lead.role)

@@ -7,17 +7,18 @@ multipath and not always the satellites, and none reports how much of its error 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection
 from dataclasses import dataclass
-from math import dist, hypot, inf, sqrt
+from math import hypot, inf, sqrt
 
+from companion.core.consensus.peers import PeerState
+from companion.core.safety.return_check import ReturnCheck, home_elsewhere, home_shared
 from companion.types.autopilot import AutopilotKind, PositionError, VehicleState
 from companion.types.commands import CommandName
-from companion.types.flight import ON_GROUND, RULES, FlightPhase, Role
+from companion.types.flight import ON_GROUND, FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
-from companion.types.values import Place, Vector3
 
 NO_ALTITUDE = "the autopilot has no origin, and takes off to an altitude above sea level"
 SET_ORIGIN = (
@@ -54,6 +55,8 @@ class FleetChecks:
     slots_have_height: bool
     ground_spread_m: float
     separation_m: float  # horizontal, of any two vehicles on the ground
+    braking_m_s2: float  # of agents before a hand-over
+    successors: frozenset[int] = frozenset()
     take_off_by_altitude: frozenset[AutopilotKind] = frozenset()  # these need to know it
 
     def judge(
@@ -67,19 +70,45 @@ class FleetChecks:
             case CommandName.ARM | CommandName.TAKEOFF:
                 return _joined(self.lacks(vehicle, peers)), None
             case CommandName.LAND:
-                return None, self._too_near(vehicle, peers)
+                return None, _joined(self._warnings_before_landing(vehicle, peers, role))
+            case CommandName.RETURN:
+                return None, self._stranded(peers, role)
             case CommandName.FORM:
                 if refusal := self._other_formation(slot.formation, peers, role):
                     return refusal, None
                 return self._too_close(vehicle.position_error, slot, peers)
         return None, None
 
+    def refusal_of_return(self, vehicle: VehicleState, peers: Collection[PeerState], role: Role) -> Notice | None:
+        """`peers` are the fresh ones. Followers without another leader stop where they are."""
+        check = ReturnCheck(self.own_id, self.separation_m, self.braking_m_s2)
+        return check.refusal(vehicle, peers, bool(self._followers([peer.packet for peer in peers], role)))
+
+    def _followers(self, peers: Collection[PeerPacket], role: Role) -> list[int]:
+        """The vehicles in formation that have no leader where this vehicle leaves it."""
+        formed = [peer for peer in peers if peer.phase in FORMED]
+        others_lead = any(p.role is Role.LEADER or p.sender.vehicle_id in self.successors for p in formed)
+        return [] if others_lead or role is not Role.LEADER else sorted(peer.sender.vehicle_id for peer in formed)
+
+    def _stranded(self, peers: Collection[PeerPacket], role: Role) -> Notice | None:
+        """Not where all are commanded at once, which no vehicle knows: so this is no refusal."""
+        if not (followers := self._followers(peers, role)):
+            return None
+        listed = ", ".join(map(str, followers))
+        return Notice(
+            Code.NO_SUCCESSOR,
+            f"no successor is in formation: vehicles {listed} hold where they stop, unless they are commanded, too",
+        )
+
+    def _warnings_before_landing(
+        self, vehicle: VehicleState, peers: Collection[PeerPacket], role: Role
+    ) -> tuple[Notice, ...]:
+        return tuple(filter(None, (self._too_near(vehicle, peers), self._stranded(peers, role))))
+
     def lacks(self, vehicle: VehicleState, peers: Collection[PeerPacket]) -> tuple[Notice, ...]:
         """The reasons why the vehicle must not leave the ground, each with its subject first."""
         found = (
-            Notice(Code.AUTOPILOT_ID_SHARED, f"autopilot: {TWO_STREAMS}; {ONE_ID_EACH}")
-            if vehicle.interleaves
-            else None,
+            id_shared(vehicle),
             self._altitude_missing(vehicle),
             self._altitudes_differ(vehicle.position_enu_m[2], peers),
             self._too_near(vehicle, peers),
@@ -193,123 +222,8 @@ def _joined(notices: Collection[Notice]) -> Notice | None:
     return Notice(next(iter(notices)).code, "; ".join(notice.text for notice in notices))
 
 
-# Phases in which a vehicle returns, may be commanded to, or (in OBSERVE) may return by a failsafe of its autopilot.
-MAY_GO_HOME = RULES[CommandName.RETURN].allowed | {FlightPhase.RETURN, FlightPhase.OBSERVE}
-
-ROUNDING_M = 0.001  # more than that of any distance computed here
-
-Path = tuple[Place, Place]
-"""A straight path from one place to another, metres east and north."""
-
-
-def refusal_of_return(
-    own_id: int, separation_m: float, vehicle: VehicleState, peers: Collection[PeerPacket]
-) -> Notice | None:
-    """The reason why this vehicle must not return home now; None where it may.
-
-    `peers` are all fresh peers. The autopilot returns to its home, which any ground station may have set.
-    """
-    if vehicle.returns_elsewhere:
-        return Notice(Code.RETURNS_ELSEWHERE, f"{vehicle.returns_elsewhere}; land instead")
-    home = vehicle.home_enu_m
-    if home is None:
-        return Notice(Code.HOME_UNKNOWN, "its home is unknown: no HOME_POSITION from the autopilot; land instead")
-    if shared := home_shared(own_id, separation_m, home, peers):
-        return Notice(shared.code, f"{shared.text}; land instead")
-    own = (_level(vehicle.position_enu_m), home)
-    apart_m = {vehicle_id: apart(own, path) for vehicle_id, path in _paths_near(own, separation_m, peers)}
-    nearest = min(apart_m, key=apart_m.__getitem__, default=None)
-    if nearest is None or apart_m[nearest] >= separation_m:
-        return None
-    return Notice(
-        Code.RETURN_PATH_TOO_CLOSE,
-        f"separation: on its straight path home vehicle {own_id} comes within {apart_m[nearest]:.2f} m of vehicle {nearest}"
-        f" or of its path home; expected at least separation_m, {separation_m:g} m; land instead",
-    )
-
-
-def home_shared(own_id: int, separation_m: float, home: Place, peers: Iterable[PeerPacket]) -> Notice | None:
-    """The home of a peer nearer than separation_m to this one's, in whatever phase that peer is: it may return later."""
-    homes = {peer.sender.vehicle_id: peer.home_enu_m for peer in peers if peer.home_enu_m is not None}
-    apart_m = {vehicle_id: dist(home, other) for vehicle_id, other in homes.items()}
-    nearest = min(apart_m, key=apart_m.__getitem__, default=None)
-    if nearest is None or apart_m[nearest] >= separation_m:
-        return None
-    return Notice(
-        Code.HOME_SHARED,
-        f"home: the autopilots of vehicles {own_id} and {nearest} have homes {apart_m[nearest]:.2f} m apart; expected at"
-        f" least separation_m, {separation_m:g} m",
-    )
-
-
 def id_shared(vehicle: VehicleState) -> Notice | None:
     """Two autopilots would obey each command."""
     if not vehicle.interleaves:
         return None
     return Notice(Code.AUTOPILOT_ID_SHARED, f"autopilot: {TWO_STREAMS}; {ONE_ID_EACH}")
-
-
-def home_elsewhere(separation_m: float, vehicle: VehicleState) -> Notice | None:
-    """The home of a vehicle on the ground that is not where it stands, as after a ground station has set it."""
-    if vehicle.home_enu_m is None:
-        return None
-    apart_m = dist(vehicle.home_enu_m, _level(vehicle.position_enu_m))
-    if apart_m < separation_m:
-        return None
-    east_m, north_m = vehicle.home_enu_m
-    return Notice(
-        Code.HOME_ELSEWHERE,
-        f"home: the autopilot's is {apart_m:.1f} m from the vehicle, at {east_m:.1f}, {north_m:.1f} m; `return` ends there",
-    )
-
-
-def _paths_near(own: Path, separation_m: float, peers: Iterable[PeerPacket]) -> Iterator[tuple[int, Path]]:
-    """(vehicle id, path) of the peers, without paths that one comparison of coordinates shows to be farther away."""
-    (x0, y0), (x1, y1) = own
-    around_m = separation_m + ROUNDING_M
-    west, east = min(x0, x1) - around_m, max(x0, x1) + around_m
-    south, north = min(y0, y1) - around_m, max(y0, y1) + around_m
-    for peer in peers:
-        path = _path_of(peer)
-        (x0, y0), (x1, y1) = path
-        beside = (x0 > east and x1 > east) or (x0 < west and x1 < west)
-        if not (beside or (y0 > north and y1 > north) or (y0 < south and y1 < south)):
-            yield peer.sender.vehicle_id, path
-
-
-def _path_of(peer: PeerPacket) -> Path:
-    """The path home of a peer; its position alone where it does not return, or its home is unknown."""
-    here = _level(peer.motion.position_enu_m)
-    return here, here if peer.home_enu_m is None or peer.phase not in MAY_GO_HOME else peer.home_enu_m
-
-
-def apart(a: Path, b: Path) -> float:
-    """Smallest distance of two straight paths in metres; 0 where they cross."""
-    if _cross(a, b):
-        return 0.0
-    return min(_off(a[0], b), _off(a[1], b), _off(b[0], a), _off(b[1], a))
-
-
-def _level(position_enu_m: Vector3) -> Place:
-    return position_enu_m[0], position_enu_m[1]
-
-
-def _side(point: tuple[float, float], path: Path) -> float:
-    """Positive to the left of the line through the path, negative to its right."""
-    (x0, y0), (x1, y1) = path
-    return (x1 - x0) * (point[1] - y0) - (y1 - y0) * (point[0] - x0)
-
-
-def _cross(a: Path, b: Path) -> bool:
-    """Whether the paths cross inside both; an end that only touches has distance 0 in `_off`."""
-    return _side(a[0], b) * _side(a[1], b) < 0.0 and _side(b[0], a) * _side(b[1], a) < 0.0
-
-
-def _off(point: tuple[float, float], path: Path) -> float:
-    """Distance of a point from the nearest point of a path."""
-    (x, y), ((x0, y0), (x1, y1)) = point, path
-    east, north = x1 - x0, y1 - y0
-    squared = east * east + north * north
-    share = ((x - x0) * east + (y - y0) * north) / squared if squared > 0.0 else 0.0
-    share = min(max(share, 0.0), 1.0)
-    return hypot(x - x0 - share * east, y - y0 - share * north)

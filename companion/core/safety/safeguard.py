@@ -29,7 +29,7 @@ from companion.core.safety.failsafe import (
     named_notice,
     schedule,
 )
-from companion.core.safety.fleet_checks import refusal_of_return
+from companion.core.safety.fleet_checks import FleetChecks
 from companion.types.autopilot import (
     AttitudeTarget,
     AutopilotMode,
@@ -81,10 +81,9 @@ class SafeguardStage:
     """Judges the health of vehicle, fleet and agent, and requests the phase changes of the failsafe matrix."""
 
     def __init__(
-        self, own_id: int, separation_m: float, limits: HealthLimits, settings: FailsafeSettings, profiles: Profiles
+        self, checks: FleetChecks, limits: HealthLimits, settings: FailsafeSettings, profiles: Profiles
     ) -> None:
-        self._own_id = own_id
-        self._separation_m = separation_m
+        self._checks = checks
         self._limits = limits
         self._settings = settings
         self._profiles = profiles
@@ -148,7 +147,7 @@ class SafeguardStage:
             return []
         reason = flags_notice(active.flags)
         if active.action is FailsafeAction.RETURN:
-            refusal = refusal_of_return(self._own_id, self._separation_m, vehicle, consensus.peers.packets)
+            refusal = self._checks.refusal_of_return(vehicle, consensus.peers.present.values(), consensus.lead.role)
             if refusal is None:
                 return [PhaseRequest(PhaseChange.RETURN, reason)]
             reason = Notice(reason.code, f"{reason.text}; no return: {refusal.text}")

@@ -17,6 +17,7 @@ from companion.core.safety.failsafe import (
     HealthLimits,
     limit_of,
 )
+from companion.core.safety.fleet_checks import FleetChecks
 from companion.core.safety.limits import OutputLimits
 from companion.core.safety.safeguard import (
     LATE_TICK_S,
@@ -37,7 +38,7 @@ from companion.types.values import Place
 F, P, A = HealthFlag, FlightPhase, FailsafeAction
 KINDS = list(AutopilotKind)
 TICK_S = 0.1
-SEPARATION_M = 1.0
+CHECKS = FleetChecks(3, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0, braking_m_s2=2.0)
 SETTINGS = FailsafeSettings(low_battery_action=A.LAND, land_after_s=10.0, leader_holds_after_s=5.0)
 LIMITS = HealthLimits(
     OutputLimits(radians(25.0), 2.0, 0.3, 1.6, 10.0, Fence((-50.0, -50.0, -5.0), (50.0, 50.0, 50.0))),
@@ -96,7 +97,7 @@ class Vehicle:
 
     def __init__(self, kind: AutopilotKind, settings: FailsafeSettings = SETTINGS) -> None:
         self.kind = kind
-        self.stage = SafeguardStage(3, SEPARATION_M, LIMITS, settings, PROFILES)
+        self.stage = SafeguardStage(CHECKS, LIMITS, settings, PROFILES)
         self.now_s = 100.0
         self.raised: set[HealthFlag] = set()
         self.phase = P.FORMATION

@@ -1,5 +1,6 @@
 """The command `return`: separation of return paths, mode request, end of the return."""
 
+import dataclasses
 from math import dist
 
 import pytest
@@ -7,13 +8,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from common import code_of, outcome, slot_peer, with_fields
+from common import SLOTS, code_of, outcome, slot_peer, with_fields
 from companion.core.command.phase import PhaseMachine
-from companion.core.safety.fleet_checks import Path, apart, refusal_of_return
+from companion.core.consensus.peers import PeerState
+from companion.core.safety.fleet_checks import FleetChecks
+from companion.core.safety.return_check import Path, ReturnCheck, apart
 from companion.geometry.frames import enu_from_geodetic
-from companion.types.autopilot import AckSample, AutopilotMode, HomeSample, LandedState, RallySample, SetMode
+from companion.types.autopilot import (
+    AckSample,
+    AutopilotMode,
+    HomeSample,
+    LandedState,
+    PositionError,
+    RallySample,
+    SetMode,
+    VehicleState,
+)
 from companion.types.commands import CommandName
-from companion.types.flight import RULES, FlightPhase
+from companion.types.flight import RULES, FlightPhase, Role
+from companion.types.formation import FlownSlot
 from companion.types.notices import Answer, Code, Notice
 from companion.types.peers import PeerPacket
 from companion.types.status import Status
@@ -52,8 +65,13 @@ def refusal(
     at: Vector3, home: Vector3 | None, *others: PeerPacket, peer_home: Vector3 | None = None, elsewhere: str = ""
 ) -> Notice | None:
     vehicle = replace(AIR, position_enu_m=at, home_enu_m=home and home[:2], returns_elsewhere=elsewhere)
-    peers = [with_fields(peer, home_enu_m=peer_home and peer_home[:2]) for peer in others]
-    return refusal_of_return(2, 1.0, vehicle, peers)
+    return refused(vehicle, *(with_fields(peer, home_enu_m=peer_home and peer_home[:2]) for peer in others))
+
+
+def refused(vehicle: VehicleState, *others: PeerPacket, leads_alone: bool = False) -> Notice | None:
+    """By vehicle 2, which brakes with 2 m/s2 and has just heard the others."""
+    peers = [PeerState(peer, received_s=0.0, least_apart_s=0.0, measured_s=0.0) for peer in others]
+    return ReturnCheck(2, separation_m=1.0, braking_m_s2=2.0).refusal(vehicle, peers, leads_alone)
 
 
 def test_separate_return_paths_are_accepted() -> None:
@@ -119,6 +137,60 @@ def test_homes_nearer_than_separation_m_are_refused_whatever_the_other_does(phas
 def test_return_is_refused_where_it_may_end_elsewhere() -> None:
     found = refusal((0.0, 6.0, 5.0), (0.0, 0.0, 0.0), elsewhere="rally points")
     assert found == Notice(Code.RETURNS_ELSEWHERE, "rally points; land instead")
+
+
+# ---------------------------------------------------------------- in motion
+
+HOMEWARD = replace(AIR, position_enu_m=(0.0, 10.0, 5.0), home_enu_m=(0.0, 0.0))
+EAST = (3.0, 0.0, 0.0)
+
+
+def test_the_path_home_begins_where_the_vehicle_will_have_stopped() -> None:
+    beside = peer_in(P.HOLD, (3.5, 10.0, 5.0))
+    assert refused(HOMEWARD, beside) is None
+    moving = replace(HOMEWARD, velocity_enu_m_s=EAST)  # it stops 3.6 m to the east, above the other
+    assert code_of(refused(moving, beside)) is Code.RETURN_PATH_TOO_CLOSE
+
+
+def test_peers_stop_and_return_from_where_they_stop_as_well() -> None:
+    comes = with_fields(peer_in(P.FORMATION, (-3.5, 10.0, 5.0)), velocity_enu_m_s=EAST, home_enu_m=(-8.0, 0.0))
+    assert code_of(refused(HOMEWARD, comes)) is Code.RETURN_PATH_TOO_CLOSE
+    assert refused(HOMEWARD, with_fields(comes, velocity_enu_m_s=(0.0, 0.0, 0.0))) is None
+    side_by_side = replace(HOMEWARD, velocity_enu_m_s=EAST)
+    assert refused(side_by_side, with_fields(comes, home_enu_m=(-3.5, 0.0))) is None
+
+
+def test_a_vehicle_on_its_way_home_is_counted_with_the_noise_of_both() -> None:
+    noisy = PositionError(0.6, 1.0)
+    vehicle = replace(HOMEWARD, position_error=noisy)
+    on_its_way = with_fields(peer_in(P.RETURN, (1.5, 10.0, 5.0)), home_enu_m=(1.5, 0.0), position_error=noisy)
+    found = refused(vehicle, on_its_way)
+    assert code_of(found) is Code.RETURN_PATH_TOO_CLOSE and "3 sigma of both positions, 1.8 m" in found.text
+    assert refused(vehicle, with_fields(on_its_way, phase=P.HOLD)) is None  # it is watched
+    exact = PositionError(0.05, 0.1)
+    assert refused(replace(HOMEWARD, position_error=exact), with_fields(on_its_way, position_error=exact)) is None
+
+
+def test_followers_of_a_leader_without_successors_stop_later() -> None:
+    """They fly on until its beacon is too old."""
+    vehicle = replace(HOMEWARD, velocity_enu_m_s=EAST)
+    behind = with_fields(peer_in(P.FORMATION, (-2.5, 10.0, 5.0)), velocity_enu_m_s=EAST, home_enu_m=(-2.5, 0.0))
+    assert refused(vehicle, behind) is None
+    assert code_of(refused(vehicle, behind, leads_alone=True)) is Code.RETURN_PATH_TOO_CLOSE
+
+
+@pytest.mark.parametrize("name", [C.LAND, C.RETURN])
+def test_a_leader_without_successors_is_warned_before_it_leaves(name: CommandName) -> None:
+    checks = FleetChecks(1, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0, braking_m_s2=2.0)
+    follower = with_fields(slot_peer(2), phase=P.FORMATION, role=Role.FOLLOWER)
+    slot, far = FlownSlot(SLOTS[1]), replace(HOMEWARD, position_enu_m=(0.0, 30.0, 5.0))
+    refusal, warning = checks.judge(name, far, slot, [follower], Role.LEADER)
+    assert (refusal, code_of(warning)) == (None, Code.NO_SUCCESSOR) and "vehicles 2 hold" in warning.text
+    successor = dataclasses.replace(checks, successors=frozenset({2}))
+    assert successor.judge(name, far, slot, [follower], Role.LEADER) == (None, None)
+    assert checks.judge(name, far, slot, [with_fields(follower, role=Role.LEADER)], Role.LEADER) == (None, None)
+    assert checks.judge(name, far, slot, [follower], Role.FOLLOWER) == (None, None)
+    assert checks.judge(name, far, slot, [with_fields(follower, phase=P.HOLD)], Role.LEADER) == (None, None)
 
 
 # ---------------------------------------------------------------- phases
