@@ -148,14 +148,14 @@ class EdgeNeighbours(Section, frozen=True, tag_field="kind", tag="edges"):
 class PeerLimits(Section, frozen=True):
     """Limits that received peer states must meet.
 
-    max_age_s: an older peer state is not used
+    max_age_s: an older peer state is not used; the separation filter vouches for none above 0.3 s
     leader_beacon_max_age_s: without a newer leader beacon for this time the leader is lost
     full_rate_up_to: in a fleet of up to so many vehicles each receives all others at 50 Hz; in a larger one, those far
         away in formation at 5 Hz
     max_speed_m_s: a peer state with a larger speed is rejected; also limits references
     """
 
-    max_age_s: Annotated[float, Meta(gt=0.02, le=5)] = 0.3
+    max_age_s: Annotated[float, Meta(gt=0.02, le=0.3)] = 0.3  # the last acceleration predicts a motion for no longer
     leader_beacon_max_age_s: Annotated[float, Meta(gt=0.02, le=10)] = 0.25  # two hops on it is missed within 0.3 s
     full_rate_up_to: Annotated[int, Meta(ge=1, le=250)] = 8
     max_speed_m_s: Annotated[float, Meta(gt=0, le=100)] = 25.0

@@ -177,7 +177,7 @@ def shared_home(random: Random, fleet: DrawnFleet) -> FamilyPlan:
 # ---------------------------------------------------------------- settings
 
 BOUNDS: dict[str, tuple[float, ...]] = {
-    "peers.max_age_s": (0.05, 0.1, 0.5, 1.0, 2.0, 5.0),
+    "peers.max_age_s": (0.05, 0.1, 0.2, 0.3),
     "peers.leader_beacon_max_age_s": (0.1, 1.0, 10.0),
     "envelope.max_tilt_rate_deg_s": (10.0, 20.0, 30.0, 60.0, 1000.0),
     "envelope.max_tilt_deg": (3.0, 5.0, 10.0, 45.0),

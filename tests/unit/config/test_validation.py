@@ -9,6 +9,7 @@ import pytest
 from msgspec import Meta
 
 from companion.config.file import ConfigError, convert
+from companion.config.fleet import PeerLimits
 from companion.config.validation import INVALID, InvalidFieldError, Problem, each, needs, unless_invalid
 from companion.config.values import Section
 
@@ -165,3 +166,10 @@ def test_any_use_of_an_invalid_value_ends_a_check(use: Any) -> None:
     assert unless_invalid(lambda: use(INVALID)) is INVALID
     with pytest.raises(InvalidFieldError):
         use(INVALID)
+
+
+def test_no_peer_state_is_fresh_for_longer_than_its_acceleration_predicts_a_motion() -> None:
+    """With 0.5 s two vehicles that exchange their slots met at 0.8 of separation_m when one fell silent; with 0.3 s at 1.0."""
+    assert convert(Path("f"), {"max_age_s": 0.3}, PeerLimits).max_age_s == 0.3
+    with pytest.raises(ConfigError, match=r"max_age_s: 0\.5: expected float <= 0\.3"):
+        convert(Path("f"), {"max_age_s": 0.5}, PeerLimits)
