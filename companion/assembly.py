@@ -16,6 +16,7 @@ from companion.config.validation import Problem, needs, without_pauses
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
 from companion.core.command.arbitration import CommandArbitration, CommandDispatcher
+from companion.core.command.hand_over import LEVEL_BEFORE_HAND_OVER_S
 from companion.core.command.phase import PhaseMachine
 from companion.core.consensus import law as formation
 from companion.core.consensus.law import FormationLaw, Gains, Weighting
@@ -24,13 +25,14 @@ from companion.core.consensus.peers import FleetLimits, PeerTable
 from companion.core.consensus.stage import ConsensusStage
 from companion.core.control.setpoint import SetpointStage, SetpointStream
 from companion.core.election.beacon import BeaconMonitor
-from companion.core.election.leadership import Leadership, Succession
+from companion.core.election.leadership import TURN_S, Leadership, Succession
 from companion.core.estimation.corrections import VelocityCorrection
 from companion.core.estimation.vehicle import VehicleTracker
 from companion.core.estimation.wind import DisturbanceObserver
 from companion.core.filter.filter import Bounds, SafetyFilter, SpeedLimit
+from companion.core.filter.motion import LAG_S
 from companion.core.filter.solver import AccelerationLimits
-from companion.core.filter.vehicles import ALONE_SHARE, PLANNED_SHARE, SeparationSettings
+from companion.core.filter.vehicles import PLANNED_SHARE, SeparationSettings
 from companion.core.formation.entry import FormationEntry, Joining, LeadIn
 from companion.core.formation.gaps import GapFilling
 from companion.core.formation.guidance import GuidanceStage
@@ -47,6 +49,7 @@ from companion.core.safety.audit import FleetFence
 from companion.core.safety.failsafe import FailsafeSettings, HealthLimits, limit_of
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.core.safety.limits import OutputLimits
+from companion.core.safety.return_check import ReturnCheck
 from companion.core.safety.safeguard import SafeguardStage
 from companion.geometry.airspace import Airspace
 from companion.mavlink.autopilot_types import PROFILES
@@ -83,12 +86,20 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
     envelope = output_limits_of(fleet)
     observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, law.disturbance_bandwidth_1_s)
     health = HealthLimits(envelope, fleet.leave_below_percent, fleet.land_below_percent)
+    safety_filter = safety_filter_of(fleet, member.id)
+    returns = ReturnCheck(
+        own_id=member.id,
+        separation_m=fleet.separation_m,
+        braking_m_s2=safety_filter.braking_alone_m_s2,
+        responds_s=LAG_S + LEVEL_BEFORE_HAND_OVER_S,
+        goes_on_s=fleet.peers.leader_beacon_max_age_s + TURN_S,
+    )
     checks = FleetChecks(
         own_id=member.id,
         slots_have_height=law.altitude == "formation",
         ground_spread_m=fleet.ground_spread_m,
         separation_m=fleet.separation_m,
-        braking_m_s2=ALONE_SHARE * PLANNED_SHARE * GRAVITY_M_S2 * tan(envelope.max_tilt_rad),
+        returns=returns,
         successors=frozenset(fleet.successors),
         take_off_by_altitude=frozenset(kind for kind, profile in PROFILES.items() if profile.takes_off_by_altitude),
     )
@@ -102,7 +113,7 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
         guidance=_guidance(config),
         safeguard=SafeguardStage(checks, health, _failsafes(fleet), PROFILES),
         dispatcher=CommandDispatcher(checks),
-        setpoint=_setpoint(config, SetpointStream(envelope, observer), limit_of(Code.POSITION_STALE)),
+        setpoint=_setpoint(config, safety_filter, SetpointStream(envelope, observer), limit_of(Code.POSITION_STALE)),
         distant_peers=_distant_peers(fleet, member.id) if fleet.has_distant_peers else None,
         reporter=ReportStage(identity, law_of(law), checks),
     )
@@ -197,14 +208,16 @@ def safety_filter_of(fleet: FleetConfig, own_id: int) -> SafetyFilter:
     )
 
 
-def _setpoint(config: AgentConfig, stream: SetpointStream, flown_for_s: float) -> SetpointStage:
+def _setpoint(
+    config: AgentConfig, safety_filter: SafetyFilter, stream: SetpointStream, flown_for_s: float
+) -> SetpointStage:
     law = config.fleet.law
     gains = law.altitude_hold_gains
     return SetpointStage(
         law=law_of(law),
         law_flies_altitude=law.altitude == "formation",
         altitude_hold_gains=Gains(gains.position_1_s2, gains.velocity_1_s),
-        safety_filter=safety_filter_of(config.fleet, config.member.id),
+        safety_filter=safety_filter,
         stream=stream,
         flown_for_s=flown_for_s,
         drag_1_s=config.vehicle.drag_1_s,

@@ -148,7 +148,7 @@ class EdgeNeighbours(Section, frozen=True, tag_field="kind", tag="edges"):
 class PeerLimits(Section, frozen=True):
     """Limits that received peer states must meet.
 
-    max_age_s: an older peer state is not used; the separation filter vouches for none above 0.3 s
+    max_age_s: an older peer state is not used; at most 0.3 s, as the separation filter predicts no longer by it
     leader_beacon_max_age_s: without a newer leader beacon for this time the leader is lost
     full_rate_up_to: in a fleet of up to so many vehicles each receives all others at 50 Hz; in a larger one, those far
         away in formation at 5 Hz

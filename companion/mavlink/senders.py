@@ -49,23 +49,23 @@ class StreamOrder:
     """Whether the packets of the autopilot are of one stream.
 
     Behind a multipoint radio, or a program that merges links, two autopilots with one system id look like one that obeys, and
-    both arm. Their sequence numbers go to and fro, and so do their clocks; of one autopilot both only go on, whatever is lost.
+    both arm. Their sequence numbers and clocks go to and fro; those of one autopilot only increase, whatever is lost.
     """
 
     def __init__(self) -> None:
         self._back_s: deque[float] = deque(maxlen=STEPS_BACK)  # when a number went back
-        self._last: Packet | None = None
+        self._last: tuple[int, bytes] | None = None
         self._boot_s = -inf
 
     def receive(self, packet: Packet, received_s: float) -> None:
         """A packet of the autopilot."""
         if packet.message_id == RADIO_STATUS:
             return
-        last, self._last = self._last, packet
+        last, self._last = self._last, (packet.sequence, packet.data)
         if last is None:
             return
-        step = (packet.sequence - last.sequence) % 256
-        if step >= AHEAD or (step == 0 and packet.data != last.data):
+        step = (self._last[0] - last[0]) % 256
+        if step >= AHEAD or (step == 0 and packet.data != last[1]):
             self._back_s.append(received_s)
 
     def receive_clock(self, boot_s: float, received_s: float) -> None:

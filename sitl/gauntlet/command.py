@@ -12,8 +12,9 @@ from msgspec import Struct
 from companion.config.fleet_check import load_fleet
 from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from sitl.cluster import workers_of
+from sitl.gauntlet.drawing import numbers_of
 from sitl.gauntlet.faults import ALL_FAMILIES
-from sitl.gauntlet.flight import FlightOutcome, Job, fly, numbers_of
+from sitl.gauntlet.flight import FlightOutcome, Job, fly
 from sitl.gauntlet.summary import COLUMNS, MEANING, FamilySummary, cells, page, summarize, write_worst
 from sitl.report.folder import results_folder, table_text
 from sitl.report.progress import ShareProgress

@@ -12,10 +12,11 @@ import yaml
 from msgspec import Struct
 
 from companion.config.fleet import FleetConfig
+from sitl.gauntlet.drawing import draw_flight
 from sitl.gauntlet.families import RESTARTS_AFTER_S, STAYS_DEAD
 from sitl.gauntlet.faults import ALL_FAMILIES
 from sitl.gauntlet.fleets import SensorsName
-from sitl.gauntlet.flight import SENSOR_FACTOR, FlightOutcome, draw_flight
+from sitl.gauntlet.flight import SENSOR_FACTOR, FlightOutcome
 from sitl.report.folder import Column
 
 KEPT = 10  # of the worst flights

@@ -19,19 +19,10 @@ from sitl.cli.studies import GAUNTLET
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.virtual_flight import fly_without_landing
+from sitl.gauntlet.drawing import FAULTS_FROM, draw_flight, family_of, has_runaway, numbers_of
 from sitl.gauntlet.families import FAMILIES
 from sitl.gauntlet.faults import ALL_FAMILIES, FAULTS
-from sitl.gauntlet.flight import (
-    FAULTS_FROM,
-    UNDISTURBED_EVERY,
-    Job,
-    distances,
-    draw_flight,
-    family_of,
-    fly,
-    has_runaway,
-    numbers_of,
-)
+from sitl.gauntlet.flight import UNDISTURBED_EVERY, Job, distances, fly
 from sitl.gauntlet.summary import write_worst
 from sitl.report.metrics import Track
 from sitl.report.progress import FlightProgress

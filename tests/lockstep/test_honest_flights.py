@@ -20,7 +20,6 @@ FAST = ("reference.period_s=16", "fleet.law={name: cooperative}")
 @pytest.mark.parametrize(("scenario", "overrides"), [(FIGURE_8, FAST), (EXCHANGE, ())])
 def test_no_honest_vehicle_is_in_doubt(scenario, overrides, links, sensors) -> None:  # type: ignore[no-untyped-def]
     flight = FlownScenario(load_scenario(scenario, (f"stand_in.sensors={sensors}", *links, *overrides)))
-    print(flight.failures)
     reports = [status for _, status in flight.watch.reports]
     assert len(reports) > 100
     for status in reports:

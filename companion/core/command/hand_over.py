@@ -1,8 +1,9 @@
-"""From formation to a mode of the autopilot: the vehicle brakes, then levels, and is lowered where nobody takes over to land.
+"""The hand-over from formation to a mode of the autopilot: the vehicle brakes, then levels, then the autopilot is asked.
 
-An autopilot brakes for its hold harder than the vehicles behind can, and makes way for none. So this agent brakes first, by the
-separation filter, and hands over when it is slow and evades nobody. Autopilots begin their own modes level, from any attitude:
-so level attitude is streamed before the request and until they have taken over.
+An autopilot brakes for its hold harder than the vehicles behind can, and does not avoid them. So the agent brakes first, with
+the separation filter, and hands over once the vehicle is slow and the filter changes nothing. Autopilots begin their own modes
+level, from any attitude: so level attitude is streamed before the request and until the mode has changed. If an autopilot does
+not begin a landing, the setpoints lower the vehicle.
 """
 
 from __future__ import annotations

@@ -65,9 +65,10 @@ class SafetyFilter:
         limits: AccelerationLimits,
         gains: Gains,
     ) -> None:
-        # A vehicle that is silent for longer than its attitude is kept counts as silent, also where older states are fresh.
-        begins_s, most_m_s = min(settings.fresh_s, KEPT_S), SPEED_MARGIN_RATIO * settings.max_speed_m_s
-        self._motions = Motions(settings.own_id, Silence(begins_s, 0.0, KEPT_S, settings.braking_m_s2, most_m_s))
+        most_m_s = SPEED_MARGIN_RATIO * settings.max_speed_m_s
+        self._motions = Motions(
+            settings.own_id, Silence(settings.fresh_s, 0.0, KEPT_S, settings.braking_m_s2, most_m_s)
+        )
         self._separation = Separation(settings)
         self._pressure = Pressure(settings.separation_m)
         self.braking_alone_m_s2 = ALONE_SHARE * settings.braking_m_s2  # as a vehicle behind this one plans to brake

@@ -214,7 +214,7 @@ class Motions:
         self._silence_on_ground = replace(silence, lands=False)
         # A vehicle that is leaving formation, in hold, landing or under a pilot: no command says what it flies next.
         self._on_its_own = Silence(-inf, 0.0, KEPT_S, AUTOPILOT_BRAKES_M_S2, silence.most_m_s, lands=False)
-        # One that contradicts itself sends, and no number of it is believed but where it is.
+        # Of one whose positions and velocities contradict each other only the position is used.
         self._in_doubt = replace(silence, begins_s=-inf, lands=False)
         self._own_enu_m_s2 = ZERO3
         self._own_s: float | None = None

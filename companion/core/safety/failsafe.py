@@ -106,7 +106,7 @@ FAILSAFES: tuple[Failsafe, ...] = (
     Failsafe(C.DUPLICATE_ID, "at once", (WARN,), "{} s without such a packet", stays_s=3.0),
     Failsafe(C.SEPARATION_VIOLATED, "at once", (WARN,), "a distance of `separation_m`"),
     Failsafe(C.NOT_SHAKEN_OFF, "pressed for 2 s, or for 5 m", (WARN,), "some seconds without pressure"),
-    Failsafe(C.PEER_IN_DOUBT, "off for 0.6 s", (WARN,), "states that agree for about 2 s"),
+    Failsafe(C.PEER_IN_DOUBT, "off for 0.45 s in all", (WARN,), "states that agree for about 2 s"),
     Failsafe(C.OUTSIDE_FENCE, "at once", (HOLD,), "a position inside the fence"),
     Failsafe(C.FRAME_CONTRADICTED, "at once", (HOLD,), "an origin and a global position that agree"),
     # A new origin explains a jump; it comes within ORIGIN_WITHIN_S.

@@ -55,7 +55,7 @@ class FleetChecks:
     slots_have_height: bool
     ground_spread_m: float
     separation_m: float  # horizontal, of any two vehicles on the ground
-    braking_m_s2: float  # of agents before a hand-over
+    returns: ReturnCheck
     successors: frozenset[int] = frozenset()
     take_off_by_altitude: frozenset[AutopilotKind] = frozenset()  # these need to know it
 
@@ -81,8 +81,7 @@ class FleetChecks:
 
     def refusal_of_return(self, vehicle: VehicleState, peers: Collection[PeerState], role: Role) -> Notice | None:
         """`peers` are the fresh ones. Followers without another leader stop where they are."""
-        check = ReturnCheck(self.own_id, self.separation_m, self.braking_m_s2)
-        return check.refusal(vehicle, peers, bool(self._followers([peer.packet for peer in peers], role)))
+        return self.returns.refusal(vehicle, peers, bool(self._followers([peer.packet for peer in peers], role)))
 
     def _followers(self, peers: Collection[PeerPacket], role: Role) -> list[int]:
         """The vehicles in formation that have no leader where this vehicle leaves it."""

@@ -21,9 +21,7 @@ from companion.types.values import Place, Vector3
 # Phases in which a vehicle returns, may be commanded to, or (in OBSERVE) may return by a failsafe of its autopilot.
 MAY_GO_HOME = RULES[CommandName.RETURN].allowed | {FlightPhase.RETURN, FlightPhase.OBSERVE}
 
-RESPONDS_S = 0.45  # attitude lag (filter/motion.py) and level attitude of the hand-over (command/phase.py)
-GOES_ON_S = 0.6  # so long a follower flies on without a leader: age of its beacon and one turn (election/leadership.py)
-ON_THE_WAY_SIGMAS = 3.0  # of both position errors: so far from a vehicle that returns already, as of a slot
+ON_THE_WAY_SIGMAS = 3.0  # of both position errors: the distance to a vehicle that already returns, as of slots
 ROUNDING_M = 0.001  # more than that of any distance computed here
 LAND_INSTEAD = "land instead"
 
@@ -33,11 +31,16 @@ Path = tuple[Place, Place]
 
 @dataclass(frozen=True, slots=True)
 class ReturnCheck:
-    """`braking_m_s2`: by which agents brake before a hand-over."""
+    """Settings of the check. Agents brake by `braking_m_s2` before a hand-over, which begins and ends within `responds_s`.
+
+    A follower flies on for `goes_on_s` without a leader.
+    """
 
     own_id: int
     separation_m: float
     braking_m_s2: float
+    responds_s: float
+    goes_on_s: float
 
     def refusal(self, vehicle: VehicleState, peers: Iterable[PeerState], leads_alone: bool) -> Notice | None:
         """The reason why this vehicle must not return home now; None where it may.
@@ -70,26 +73,26 @@ class ReturnCheck:
         self, vehicle: VehicleState, home: Place, peers: Iterable[PeerState], leads_alone: bool
     ) -> Iterator[tuple[float, float, int]]:
         """(distance without the one to keep, distance, vehicle id) of the peers that may be near."""
-        here = level(vehicle.position_enu_m)
+        here = _level(vehicle.position_enu_m)
         stop = self._stop(here, vehicle.velocity_enu_m_s)
         own = ((here, home), (stop, home))
         for peer in peers:
             packet = peer.packet
             required_m = self._required_m(vehicle.position_error, packet)
-            there = level(peer.position_at(max(vehicle.position_time_s, peer.measured_s)))
+            there = _level(peer.position_at(max(vehicle.position_time_s, peer.measured_s)))
             its_home = packet.home_enu_m if packet.phase in MAY_GO_HOME else None
             returns_to = its_home if packet.phase is FlightPhase.RETURN else None
             its_stop = self._stop(there, packet.motion.velocity_enu_m_s, returns_to)
             pairs = [(own[0], (there, its_home or there)), (own[1], (its_stop, its_home or its_stop))]
             if leads_alone and packet.phase in STREAMING:
-                pairs.append((own[1], (its_stop, _later(its_stop, packet.motion.velocity_enu_m_s))))
+                pairs.append((own[1], (its_stop, self._later(its_stop, packet.motion.velocity_enu_m_s))))
             for path, other in pairs:
                 if _may_be_near(path, other, required_m):
                     apart_m = apart(path, other)
                     yield apart_m - required_m, apart_m, packet.sender.vehicle_id
 
     def _required_m(self, error: PositionError | None, peer: PeerPacket) -> float:
-        """Of a vehicle that returns already at least some sigmas: nobody watches the distance any more."""
+        """`separation_m`; to a vehicle that already returns also ON_THE_WAY_SIGMAS, as no agent keeps that distance."""
         if peer.phase is not FlightPhase.RETURN or error is None or peer.position_error is None:
             return self.separation_m
         sigma_m = hypot(error.horizontal_m, peer.position_error.horizontal_m) / sqrt(2.0)  # along one axis of two
@@ -99,17 +102,16 @@ class ReturnCheck:
         """Where it stops; at its home at the latest, where it returns to one already."""
         (x, y), (vx, vy, _) = here, velocity_enu_m_s
         speed_m_s = hypot(vx, vy)
-        lasts_s = RESPONDS_S + speed_m_s / (2.0 * self.braking_m_s2)
+        lasts_s = self.responds_s + speed_m_s / (2.0 * self.braking_m_s2)
         if home is not None:
             east_m, north_m = home[0] - x, home[1] - y
             if lasts_s * (vx * east_m + vy * north_m) > east_m * east_m + north_m * north_m:
                 return home
         return (x + lasts_s * vx, y + lasts_s * vy)
 
-
-def _later(stop: Place, velocity_enu_m_s: Vector3) -> Place:
-    """The place of a stop that begins GOES_ON_S later."""
-    return (stop[0] + GOES_ON_S * velocity_enu_m_s[0], stop[1] + GOES_ON_S * velocity_enu_m_s[1])
+    def _later(self, stop: Place, velocity_enu_m_s: Vector3) -> Place:
+        """The place of a stop that begins `goes_on_s` later."""
+        return (stop[0] + self.goes_on_s * velocity_enu_m_s[0], stop[1] + self.goes_on_s * velocity_enu_m_s[1])
 
 
 def home_shared(own_id: int, separation_m: float, home: Place, peers: Iterable[PeerPacket]) -> Notice | None:
@@ -130,7 +132,7 @@ def home_elsewhere(separation_m: float, vehicle: VehicleState) -> Notice | None:
     """The home of a vehicle on the ground that is not where it stands, as after a ground station has set it."""
     if vehicle.home_enu_m is None:
         return None
-    apart_m = dist(vehicle.home_enu_m, level(vehicle.position_enu_m))
+    apart_m = dist(vehicle.home_enu_m, _level(vehicle.position_enu_m))
     if apart_m < separation_m:
         return None
     east_m, north_m = vehicle.home_enu_m
@@ -157,7 +159,7 @@ def apart(a: Path, b: Path) -> float:
     return min(_off(a[0], b), _off(a[1], b), _off(b[0], a), _off(b[1], a))
 
 
-def level(position_enu_m: Vector3) -> Place:
+def _level(position_enu_m: Vector3) -> Place:
     return position_enu_m[0], position_enu_m[1]
 
 

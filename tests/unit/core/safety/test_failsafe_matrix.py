@@ -19,6 +19,7 @@ from companion.core.safety.failsafe import (
 )
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.core.safety.limits import OutputLimits
+from companion.core.safety.return_check import ReturnCheck
 from companion.core.safety.safeguard import (
     LATE_TICK_S,
     SILENT_TOO_LONG_S,
@@ -38,7 +39,8 @@ from companion.types.values import Place
 F, P, A = HealthFlag, FlightPhase, FailsafeAction
 KINDS = list(AutopilotKind)
 TICK_S = 0.1
-CHECKS = FleetChecks(3, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0, braking_m_s2=2.0)
+RETURNS = ReturnCheck(3, separation_m=1.0, braking_m_s2=2.0, responds_s=0.45, goes_on_s=0.55)
+CHECKS = FleetChecks(3, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0, returns=RETURNS)
 SETTINGS = FailsafeSettings(low_battery_action=A.LAND, land_after_s=10.0, leader_holds_after_s=5.0)
 LIMITS = HealthLimits(
     OutputLimits(radians(25.0), 2.0, 0.3, 1.6, 10.0, Fence((-50.0, -50.0, -5.0), (50.0, 50.0, 50.0))),

@@ -7,6 +7,7 @@ from msgspec.structs import replace
 
 from common import SLOTS, code_of, slot_peer, with_fields
 from companion.core.safety.fleet_checks import FleetChecks
+from companion.core.safety.return_check import ReturnCheck
 from companion.types.autopilot import AutopilotKind, PositionError, VehicleState
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
@@ -15,7 +16,8 @@ from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
 
 OWN = FlownSlot(SLOTS[2])
-CHECKS = FleetChecks(2, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0, braking_m_s2=2.0)
+RETURNS = ReturnCheck(2, separation_m=1.0, braking_m_s2=2.0, responds_s=0.45, goes_on_s=0.55)
+CHECKS = FleetChecks(2, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0, returns=RETURNS)
 
 
 def vehicle(z_m: float = 0.0, error: PositionError | None = None) -> VehicleState:
@@ -118,7 +120,7 @@ def test_slot_spacing_limits_by_reported_position_error(
     spacing_m: float, fits_m: tuple[float, ...], warned_m: tuple[float, ...], refused_m: tuple[float, ...]
 ) -> None:
     """The table of the README: at least 3 times the reported error, better 6 times."""
-    checks = FleetChecks(1, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0, braking_m_s2=2.0)
+    checks = FleetChecks(1, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0, returns=RETURNS)
     for errors_m, wanted in ((fits_m, (False, False)), (warned_m, (False, True)), (refused_m, (True, False))):
         for error_m in errors_m:
             error = PositionError(error_m, 3.0)  # on level slots, height does not count
@@ -148,9 +150,9 @@ def test_unknown_position_error_is_a_warning() -> None:
 def test_vertical_error_counts_only_when_the_law_controls_altitude() -> None:
     own = vehicle(error=PositionError(0.05, 0.6))
     above = [slot_peer(4, error=PositionError(0.05, 0.6), air=True)]
-    with_height = FleetChecks(3, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0, braking_m_s2=2.0)
+    with_height = FleetChecks(3, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0, returns=RETURNS)
     assert "1.2 sigma" in with_height.judge(CommandName.FORM, own, FlownSlot(SLOTS[3]), above, Role.FOLLOWER)[0].text
-    without = FleetChecks(3, slots_have_height=False, ground_spread_m=1.0, separation_m=1.0, braking_m_s2=2.0)
+    without = FleetChecks(3, slots_have_height=False, ground_spread_m=1.0, separation_m=1.0, returns=RETURNS)
     assert "0.0 sigma" in without.judge(CommandName.FORM, own, FlownSlot(SLOTS[3]), above, Role.FOLLOWER)[0].text
 
 

@@ -34,6 +34,7 @@ from companion.types.values import Vector3
 from one_agent import AIR, ORIGIN, AgentFlight, ImmediateAutopilot, flown_to, levelled, tick
 
 P, M, C = FlightPhase, AutopilotMode, CommandName
+RETURNS = ReturnCheck(2, separation_m=1.0, braking_m_s2=2.0, responds_s=0.45, goes_on_s=0.55)
 
 
 # ---------------------------------------------------------------- paths
@@ -71,7 +72,7 @@ def refusal(
 def refused(vehicle: VehicleState, *others: PeerPacket, leads_alone: bool = False) -> Notice | None:
     """By vehicle 2, which brakes with 2 m/s2 and has just heard the others."""
     peers = [PeerState(peer, received_s=0.0, least_apart_s=0.0, measured_s=0.0) for peer in others]
-    return ReturnCheck(2, separation_m=1.0, braking_m_s2=2.0).refusal(vehicle, peers, leads_alone)
+    return RETURNS.refusal(vehicle, peers, leads_alone)
 
 
 def test_separate_return_paths_are_accepted() -> None:
@@ -181,7 +182,7 @@ def test_followers_of_a_leader_without_successors_stop_later() -> None:
 
 @pytest.mark.parametrize("name", [C.LAND, C.RETURN])
 def test_a_leader_without_successors_is_warned_before_it_leaves(name: CommandName) -> None:
-    checks = FleetChecks(1, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0, braking_m_s2=2.0)
+    checks = FleetChecks(1, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0, returns=RETURNS)
     follower = with_fields(slot_peer(2), phase=P.FORMATION, role=Role.FOLLOWER)
     slot, far = FlownSlot(SLOTS[1]), replace(HOMEWARD, position_enu_m=(0.0, 30.0, 5.0))
     refusal, warning = checks.judge(name, far, slot, [follower], Role.LEADER)
