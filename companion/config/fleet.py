@@ -168,7 +168,7 @@ class Envelope(Section, frozen=True):
     max_climb_m_s: largest climb rate
     max_descent_m_s: largest descent rate
     max_tilt_deg: largest commanded tilt
-    max_tilt_rate_deg_s: largest change of the commanded tilt per second
+    max_tilt_rate_deg_s: largest change of the commanded tilt per second; at least max_tilt_deg in 0.5 s
     min_thrust_ratio: smallest thrust, as a share of hover thrust
     max_thrust_ratio: largest thrust, as a multiple of hover thrust
     max_thrust_rate_1_s: largest change of the thrust, in hover thrusts per second

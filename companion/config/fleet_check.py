@@ -21,6 +21,7 @@ from companion.types.flight import Role
 from companion.types.values import Vector3
 
 SMALLEST_AREA_M2 = 1.0
+TILTS_WITHIN_S = 0.5  # the separation filter counts on a vehicle that reaches its largest tilt in this time
 CLOSEST_STARTS_M = 0.3  # nearer to each other, two vehicles on the ground touch
 
 
@@ -39,6 +40,7 @@ def fleet_problems(fleet: FleetConfig, where: str = "") -> Iterator[Problem]:
         _takeoff_height(fleet, f"{where}takeoff_height_m"),
         airspace_problems(fleet, where),
         _speeds(fleet, f"{where}peers.max_speed_m_s"),
+        _tilt_rate(fleet, f"{where}envelope.max_tilt_rate_deg_s"),
         _multicast(fleet, f"{where}multicast"),
         _battery(fleet, f"{where}land_below_percent"),
         law_problems(fleet.law, f"{where}law"),
@@ -174,6 +176,17 @@ def _speeds(fleet: FleetConfig, where: str) -> Iterator[Problem]:
             where,
             f"{accepted_m_s:g} is less than the {fastest_m_s:.1f} m/s that envelope.max_speed_m_s, max_climb_m_s and"
             " max_descent_m_s allow; lower those, or raise it",
+        )
+
+
+def _tilt_rate(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    """A vehicle that tilts slowly evades too late."""
+    rate_deg_s, least_deg_s = fleet.envelope.max_tilt_rate_deg_s, fleet.envelope.max_tilt_deg / TILTS_WITHIN_S
+    if rate_deg_s < least_deg_s:
+        yield Problem(
+            where,
+            f"{rate_deg_s:g} is too slow to evade with max_tilt_deg {fleet.envelope.max_tilt_deg:g}; expected at least"
+            f" {least_deg_s:g}, or less tilt",
         )
 
 

@@ -179,7 +179,7 @@ def shared_home(random: Random, fleet: DrawnFleet) -> FamilyPlan:
 BOUNDS: dict[str, tuple[float, ...]] = {
     "peers.max_age_s": (0.05, 0.1, 0.2, 0.3),
     "peers.leader_beacon_max_age_s": (0.1, 1.0, 10.0),
-    "envelope.max_tilt_rate_deg_s": (10.0, 20.0, 30.0, 60.0, 1000.0),
+    "envelope.max_tilt_rate_deg_s": (10.0, 20.0, 50.0, 90.0, 1000.0),
     "envelope.max_tilt_deg": (3.0, 5.0, 10.0, 45.0),
     "envelope.max_speed_m_s": (0.5, 2.0, 20.0),
     "envelope.max_climb_m_s": (0.5, 15.0),

@@ -114,6 +114,10 @@ def test_parameters_of_a_law_can_be_changed_one_by_one(tmp_path: Path) -> None:
         (lambda f: f["origin"].update(latitude_deg=float("nan")), ["origin.latitude_deg", "nan", "finite"]),
         (lambda f: f["origin"].update(latitude_deg=95), ["origin.latitude_deg", "95", "<= 85"]),
         (lambda f: f.update(vehicles=[]), ["vehicles", "empty"]),
+        (
+            lambda f: f.update(envelope={"max_tilt_rate_deg_s": 30.0}),
+            ["envelope.max_tilt_rate_deg_s", "30 is too slow to evade with max_tilt_deg 25", "at least 50"],
+        ),
         (lambda f: f.update(takeoff_height_m=60.0), ["takeoff_height_m", "60 is above the fence", "50 m"]),
         (lambda f: f.update(envelope={"max_tilt_deg": 80}), ["envelope.max_tilt_deg", "80", "<= 45"]),
         (lambda f: f.update(envelope={"fence_min_enu_m": [200, 0, 0]}), ["fence_min_enu_m", "x is 200"]),
