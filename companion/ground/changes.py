@@ -7,8 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import radians
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from companion.config.file import ConfigError, convert
 from companion.config.fleet import FleetConfig
@@ -29,7 +32,7 @@ from companion.types.commands import Described, ReferenceChange, next_for_all
 from companion.types.flight import FlightPhase
 from companion.types.formation import FormationChange
 from companion.types.status import Status
-from companion.types.values import MAX_COORDINATE_M, MIN_CHANGE_S, Vector3
+from companion.types.values import MAX_COORDINATE_M, MAX_MISSION_S, MIN_CHANGE_S, ZERO3, Vector3
 
 
 def command_line(action: str) -> Path:
@@ -88,7 +91,6 @@ def reference_change(reference: Described, statuses: Sequence[Status]) -> Refere
 
 def resolve_reference_now(request: ReferenceRequest, statuses: Collection[Status]) -> Reference:
     """The reference of a request to a fleet with these reports. Raises ConfigError."""
-    check_reports("reference", statuses)
     flown = [status.formation.reference_enu_m for status in statuses if status.formation.reference_enu_m]
     return resolve_reference(request, here_enu_m=flown[0] if flown else None)
 
@@ -157,7 +159,6 @@ def resolve_slots(request: FormationRequest, statuses: Sequence[Status], fleet: 
     A shape has a slot for a vehicle without a status, too: one that is left over. Of such a vehicle the slot in the fleet file
     counts as flown.
     """
-    check_reports("formation", statuses)
     ids = sorted({member.id for member in fleet.vehicles} | {status.agent.vehicle_id for status in statuses})
     if request.shape and request.spacing_m is not None:
         slots = named_slots(request.shape, len(ids), request.spacing_m * request.scale, request.heading_deg)
@@ -228,20 +229,41 @@ def change_to(slots_enu_m: Mapping[int, Vector3], statuses: Sequence[Status], sl
 AHEAD_S = 1.0  # seconds from a command to its beginning: every vehicle has received it by then
 
 
+TIMES_AGREE_S = 5.0  # vehicles in formation differ by the way of the leader's beacon
+
+
 def fleet_time_s(statuses: Iterable[Status]) -> float:
-    """Time along the RFT by these reports, seconds; it does not advance while no leader is in formation."""
-    return max(status.formation.reference_s for status in statuses)
+    """Time along the RFT by these reports, seconds; it does not advance while no leader is in formation.
+
+    The largest one of those in formation, else of all. Where two agree, one that stands alone above them is not believed: no
+    vehicle would accept a change that begins then.
+    """
+    reports = list(statuses)
+    flying = [status for status in reports if status.phase is FlightPhase.FORMATION] or reports
+    times_s = sorted((s.formation.reference_s for s in flying if s.formation.reference_s > 0.0), reverse=True)
+    agreed_s = (later for later, earlier in pairwise(times_s) if later - earlier <= TIMES_AGREE_S)
+    return next(agreed_s, max(times_s, default=0.0))
 
 
-def check_reports(action: str, statuses: Iterable[Status]) -> None:
-    """Refuses positions that no vehicle can have: their squares overflow. Raises ConfigError."""
-    for status in statuses:
-        flown = status.formation
-        positions = {"position_enu_m": status.motion.position_enu_m, "slot": flown.slot.position_enu_m}
-        for name, position_enu_m in (positions | {"reference_enu_m": flown.reference_enu_m or (0.0,)}).items():
-            if (largest_m := max(map(abs, position_enu_m))) > MAX_COORDINATE_M:
-                raise ConfigError(
-                    command_line(action),
-                    f"{name} of vehicle {status.agent.vehicle_id}",
-                    f"is {largest_m:g} m from the origin by its report; expected at most {MAX_COORDINATE_M:g} m",
-                )
+def believed(statuses: Iterable[Status], fleet: FleetConfig) -> list[Status]:
+    """The reports, where one with a place or time that no vehicle can have counts as of a vehicle in its configured slot.
+
+    So it does not prevent the command, whose numbers it would make senseless: the squares of 1e300 m overflow. Its vehicle gets
+    the command like the others, and decides by what it knows itself.
+    """
+    slots_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles}
+    return [status if _is_possible(status) else _in_slot(status, slots_enu_m) for status in statuses]
+
+
+def _is_possible(status: Status) -> bool:
+    """Within the bounds of what peers read of each other."""
+    flown = status.formation
+    places = (status.motion.position_enu_m, flown.slot.position_enu_m, flown.reference_enu_m or ZERO3)
+    near = all(abs(component) <= MAX_COORDINATE_M for place in places for component in place)
+    return near and 0.0 <= flown.reference_s <= MAX_MISSION_S - AHEAD_S
+
+
+def _in_slot(status: Status, slots_enu_m: Mapping[int, Vector3]) -> Status:
+    flown, slot = status.formation, slots_enu_m.get(status.agent.vehicle_id, ZERO3)
+    formation = replace(flown, slot=replace(flown.slot, position_enu_m=slot), reference_enu_m=None, reference_s=0.0)
+    return replace(status, motion=replace(status.motion, position_enu_m=slot), formation=formation)

@@ -20,6 +20,7 @@ from companion.ground.changes import (
     FleetAction,
     FormationRequest,
     ReferenceRequest,
+    believed,
     change_to,
     check_request,
     command_line,
@@ -197,7 +198,8 @@ class OperatorCommands:
         reports = self._statuses(self._all)
         if not reports:
             raise OperateError(f"no report of any vehicle for {self._wait_s:g} s")
-        statuses, fleet = list(reports.values()), self._fleet
+        fleet = self._fleet
+        statuses = believed(reports.values(), fleet)
         slots_enu_m = resolve_slots(request, statuses, fleet)
         if refusal := refusal_of(slots_enu_m, fleet.separation_m, has_height=fleet.law.altitude == "formation"):
             raise OperateError(refusal)
@@ -210,7 +212,7 @@ class OperatorCommands:
         reports = self._statuses(self._all)
         if not reports:
             raise OperateError(f"no report of any vehicle for {self._wait_s:g} s")
-        statuses = list(reports.values())
+        statuses = believed(reports.values(), self._fleet)
         reference = resolve_reference_now(request, statuses)
         slots_enu_m = flown_slots_enu_m(statuses)
         check_reference(request.file or command_line("reference"), self._fleet, reference, slots_enu_m=slots_enu_m)

@@ -23,6 +23,7 @@ from companion.ground.changes import (
     FleetAction,
     FormationRequest,
     ReferenceRequest,
+    believed,
     change_to,
     flown_slots_enu_m,
     refusal_of,
@@ -180,9 +181,10 @@ def preview_of(wanted: FleetAction, fleet: FleetConfig, statuses: Mapping[int, S
         reporting = [statuses[member.id] for member in fleet.vehicles if member.id in statuses]
         if not reporting:
             return Preview(refused="no report of any vehicle")
-        return _formation(wanted.formation, fleet, reporting)
+        return _formation(wanted.formation, fleet, believed(reporting, fleet))
     assert wanted.reference is not None
-    return _reference(resolve_reference_now(wanted.reference, statuses.values()), fleet, list(statuses.values()))
+    reports = believed(statuses.values(), fleet)
+    return _reference(resolve_reference_now(wanted.reference, reports), fleet, reports)
 
 
 def _formation(request: FormationRequest, fleet: FleetConfig, statuses: Sequence[Status]) -> Preview:
