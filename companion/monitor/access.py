@@ -5,7 +5,8 @@
 - A POST and a WebSocket that name an Origin name that of this server: another page cannot send in the operator's name.
 - A command needs the token of the printed URL.
 - The page may load and run what this server has, and nothing else.
-- Connections and WebSocket clients are bounded. A slow client misses snapshots; nothing is queued for it.
+- Connections and WebSocket clients are bounded, and places are kept for the operator. A slow client misses snapshots;
+  nothing is queued for it.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import hmac
 import logging
 import re
 import socket
+from collections import Counter
 from collections.abc import Callable
 from ipaddress import ip_address
 
@@ -24,7 +26,8 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from aiohttp.typedefs import Handler, Middleware
 from aiohttp.web_protocol import RequestHandler
 
-from companion.monitor.api import TOKEN_HEADER, ClientMessage
+from companion.monitor.api import LIVE_PROTOCOL, TOKEN_HEADER, TOKEN_PROTOCOL, ClientMessage
+from companion.monitor.places import Places, Share, Visitor, network_of, plain_address
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; font-src 'self'; "
@@ -44,6 +47,8 @@ HEADERS = {
 PLAIN_HEADERS = (TOKEN_HEADER, "Sec-WebSocket-Key", "Sec-WebSocket-Version", "Sec-WebSocket-Protocol")
 LOCAL_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 _log = logging.getLogger(__name__)
+# Of a WebSocket whose subprotocols are not ours: a stranger's words, or the token, for the operator's terminal.
+logging.getLogger("aiohttp.websocket").addFilter(lambda record: "overlap" not in str(record.msg))
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(:\d{1,5})?")
 
 
@@ -56,7 +61,7 @@ def error(status: int, text: str) -> web.Response:
 def is_loopback(address: str) -> bool:
     """Whether only this machine reaches an address."""
     try:
-        return ip_address(address.strip("[]")).is_loopback
+        return ip_address(plain_address(address)).is_loopback
     except ValueError:
         return address == "localhost"
 
@@ -131,13 +136,25 @@ def has_token(request: web.Request, token: str) -> bool:
     return hmac.compare_digest(request.headers.get(TOKEN_HEADER, "").encode(), token.encode())
 
 
+def has_socket_token(request: web.Request, token: str) -> bool:
+    """Likewise for a WebSocket: a browser can give one no header of its own, but subprotocols."""
+    wanted = (TOKEN_PROTOCOL + token).encode()
+    return has_token(request, token) or any(hmac.compare_digest(one.encode(), wanted) for one in _protocols(request))
+
+
+def _protocols(request: web.Request) -> list[str]:
+    """The first subprotocols that a WebSocket offers."""
+    return [one.strip() for one in request.headers.get("Sec-WebSocket-Protocol", "").split(",", 4)[:4]]
+
+
 MOST_CONNECTIONS = 128  # the WebSockets among them; a process may have 1024 open files, those of Zenoh among them
 
 
 class Connections:
-    """At most MOST_CONNECTIONS, and those that come at the same moment. For a new one the oldest that waits for a request ends.
+    """At most MOST_CONNECTIONS, and those that come at the same moment. For a new one another that waits for a request ends.
 
-    Who waits cannot be told from who means harm. A browser whose idle connection has ended opens another one.
+    That is the oldest of whom most are waiting, so that one address keeps no other from sending its request. A browser
+    whose idle connection has ended opens another one.
     """
 
     def __init__(self) -> None:
@@ -167,13 +184,29 @@ class Connections:
         open_ones = [one for one in server.connections if one.transport and not one.transport.is_closing()]
         if len(open_ones) < MOST_CONNECTIONS:
             return
-        for one in open_ones:  # the oldest first
-            if one not in self._busy and one.transport:
-                one.transport.abort()
-                return
+        waiting = [(_owner(one), one) for one in open_ones if one not in self._busy]  # the oldest first
+        count = Counter(owner for owner, _ in waiting)
+        _, oldest = max(waiting, key=lambda one: count[one[0]], default=("", None))
+        if oldest and oldest.transport:
+            oldest.transport.abort()
 
 
-MOST_CLIENTS = 32
+def _owner(connection: RequestHandler) -> str:
+    """Whose it is: an address, of IPv6 the network of which a host can take any address."""
+    peer = connection.transport.get_extra_info("peername") if connection.transport else None
+    address = plain_address(str(peer[0])) if peer else ""
+    return network_of(address) or address
+
+
+MOST_CLIENTS = 32  # those of the operator; others have places of their own
+MOST_OF_ADDRESS = 8  # of others
+CLOSE_ONE = "close one of them"
+FOR_TOKEN = Share(MOST_CLIENTS, MOST_CLIENTS // 2, MOST_CLIENTS, " with the token", CLOSE_ONE)
+FOR_THIS_MACHINE = Share(MOST_CLIENTS, MOST_CLIENTS, MOST_CLIENTS, "", CLOSE_ONE)  # of a server without a token
+FOR_OTHERS = Share(24, MOST_OF_ADDRESS, 16, "", CLOSE_ONE)
+WITHOUT_TOKEN = Share(
+    24, MOST_OF_ADDRESS, 16, " without the token", f"{CLOSE_ONE}, or open the URL that companion monitor printed last"
+)
 LONGEST_MESSAGE = 1024  # bytes of a client message
 SEND_WITHIN_S = 10.0  # a client that takes longer for one snapshot is closed
 LEAVE_WITHIN_S = 0.3  # at the end of the server
@@ -182,11 +215,25 @@ ALIVE_S = 15.0  # a client is asked whether it is there
 _decoder = msgspec.json.Decoder(ClientMessage)
 
 
+def visitor_of(request: web.Request, token: str) -> Visitor:
+    """`token` is "" for a server without control; there the operator is who sits at this machine."""
+    address = plain_address(str(request.remote))
+    if token:
+        return Visitor(address, FOR_TOKEN if has_socket_token(request, token) else WITHOUT_TOKEN)
+    here = is_loopback(address) or address == _reached_address(request)
+    return Visitor(address, FOR_THIS_MACHINE if here else FOR_OTHERS)
+
+
 class Clients:
-    """At most MOST_CLIENTS."""
+    """Those of the operator and those of others have places of their own; one address of others gets a few."""
 
     def __init__(self) -> None:
         self._clients: set[_Client] = set()
+        self._places = Places()
+
+    def refusal(self, visitor: Visitor) -> str:
+        """Why there is no place, in one line, or ""."""
+        return self._places.refusal(visitor)
 
     @property
     def count(self) -> int:
@@ -198,10 +245,18 @@ class Clients:
             client.offer(snapshot)
 
     async def serve(
+        self, request: web.Request, visitor: Visitor, first: bytes, act: Callable[[ClientMessage], None]
+    ) -> web.StreamResponse:
+        """Until the client leaves; it has a place. `act` gets its messages; a message that is none ends the connection."""
+        with self._places.taken_by(visitor):
+            return await self._serve(request, first, act)
+
+    async def _serve(
         self, request: web.Request, first: bytes, act: Callable[[ClientMessage], None]
     ) -> web.StreamResponse:
-        """Until the client leaves. `act` gets its messages; a message that is none ends the connection."""
-        socket = web.WebSocketResponse(max_msg_size=LONGEST_MESSAGE, heartbeat=ALIVE_S, compress=False, timeout=2.0)
+        socket = web.WebSocketResponse(
+            max_msg_size=LONGEST_MESSAGE, heartbeat=ALIVE_S, compress=False, timeout=2.0, protocols=(LIVE_PROTOCOL,)
+        )
         await socket.prepare(request)
         assert request.transport is not None  # the answer to the upgrade went through it
         client = _Client(socket, request.transport)

@@ -16,6 +16,8 @@ from companion.types.values import Finite, FleetName, Vector3, VehicleIds, Word
 
 API_VERSION = 1
 TOKEN_HEADER = "X-Companion-Token"  # a POST with --control needs it: the token of the printed URL, after #token=
+LIVE_PROTOCOL = "companion"  # subprotocol of the WebSocket
+TOKEN_PROTOCOL = "companion.token."  # with the token behind it, offered beside LIVE_PROTOCOL: a browser's WebSocket
 Severity = CodeSeverity
 
 

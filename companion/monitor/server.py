@@ -24,7 +24,6 @@ from msgspec import Struct
 
 from companion.monitor import MonitorError
 from companion.monitor.access import (
-    MOST_CLIENTS,
     Clients,
     Connections,
     add_headers,
@@ -32,6 +31,7 @@ from companion.monitor.access import (
     guard,
     has_token,
     is_loopback,
+    visitor_of,
 )
 from companion.monitor.api import CommandRequest, ControlView
 from companion.monitor.command_requests import reference_forms
@@ -88,11 +88,13 @@ class Site:
         self.clients.publish(snapshot)
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
+        """A browser does not tell its page why a WebSocket was refused; a plain GET does."""
+        visitor = visitor_of(request, self._token if self._commander else "")
+        if refused := self.clients.refusal(visitor):
+            return error(503, refused)
         if not web.WebSocketResponse().can_prepare(request):
             return error(426, "expected a WebSocket; GET /api/v1/snapshot gives one snapshot")
-        if self.clients.count >= MOST_CLIENTS:
-            return error(503, f"{MOST_CLIENTS} clients are connected already; close one of them")
-        return await self.clients.serve(request, self._encoded, self._station.act)
+        return await self.clients.serve(request, visitor, self._encoded, self._station.act)
 
     async def _snapshot(self, _request: web.Request) -> web.StreamResponse:
         return _json(self._station.newest)

@@ -20,6 +20,7 @@ from companion.geometry.curves import figure_8
 from companion.geometry.formations import SHAPES
 from companion.geometry.formations import slots_of as shape_slots
 from companion.monitor.api import (
+    LIVE_PROTOCOL,
     AlarmView,
     AnswerView,
     CommandRequest,
@@ -215,6 +216,8 @@ class PageServer:
         self.events: list[EventView] = []  # taken by the next snapshot
         self.replay: ReplayView | None = None
         self.refuse: dict[int, str] = {}  # by vehicle, the reason
+        self.no_place = ""  # why a WebSocket is refused
+        self.drops_protocols = False  # as a proxy that does not know them
         self.paused = False  # nothing is sent, but the connection stays
         self.delayed_by = 0  # snapshots that wait on a slow network
         self.skipped = 0  # snapshots that a slow client misses before each
@@ -325,8 +328,10 @@ class PageServer:
         await self._ended.wait()
         await runner.cleanup()
 
-    async def _live(self, request: web.Request) -> web.WebSocketResponse:
-        socket = web.WebSocketResponse()
+    async def _live(self, request: web.Request) -> web.StreamResponse:
+        if self.no_place:
+            return _json({"error": self.no_place}, status=503)
+        socket = web.WebSocketResponse(protocols=() if self.drops_protocols else (LIVE_PROTOCOL,))
         await socket.prepare(request)
         sender = asyncio.ensure_future(self._send(socket))
         ended = asyncio.ensure_future(self._ended.wait())

@@ -72,6 +72,40 @@ def test_the_page_returns_with_the_server(open_page: OpenPage) -> None:
             expect(page.locator(".live")).to_have_text("LIVE")
 
 
+def test_a_page_without_a_place_says_so_until_it_gets_one(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        page = open_page(server.url)
+        server.stop()
+        banner = page.locator("#banner .refused")
+        with PageServer(port=server.port) as full:
+            full.no_place = f"8 live connections are open already; {HOSTILE}"
+            expect(banner).to_contain_text("This page gets no data: 8 live connections are open already; <img src=x")
+            expect(banner).to_contain_text("Everything below is")
+            full.no_place = ""
+            expect(page.locator(".live")).to_have_text("LIVE")
+            expect(banner).to_have_count(0)
+        expect(page.locator("#banner .lost-server")).to_contain_text("Server lost")
+
+
+def test_a_new_page_without_a_place_says_so(browser: Browser) -> None:
+    with PageServer() as server:
+        server.no_place = "8 live connections are open already"
+        page = browser.new_page()
+        page.goto(server.url)
+        expect(page.locator("#banner .refused")).to_have_text(
+            "This page gets no data: 8 live connections are open already. It tries again by itself."
+        )
+        page.close()
+
+
+@pytest.mark.parametrize("token", ["a-token-of-this-test", "no%20token,%22\u00e4"])
+def test_a_page_with_a_token_opens_although_a_proxy_drops_subprotocols(open_page: OpenPage, token: str) -> None:
+    with PageServer() as server:
+        server.drops_protocols = True
+        page = open_page(f"{server.url}#token={token}")
+        expect(page.locator(".live")).to_have_text("LIVE")
+
+
 def test_snapshots_that_arrive_late_are_not_live(open_page: OpenPage) -> None:
     with PageServer() as server:
         page = open_page(server.url)

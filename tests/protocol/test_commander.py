@@ -7,6 +7,7 @@ import threading
 from collections.abc import Awaitable, Callable
 
 import pytest
+from aiohttp import ClientSession, TCPConnector, WSServerHandshakeError
 from msgspec.structs import replace
 
 from common import with_fields
@@ -15,7 +16,8 @@ from companion.ground.changes import FleetAction
 from companion.ground.commands import check_content
 from companion.ground.reports import Check
 from companion.ground.session import FleetSession
-from companion.monitor.api import TOKEN_HEADER
+from companion.monitor.access import MOST_OF_ADDRESS
+from companion.monitor.api import LIVE_PROTOCOL, TOKEN_HEADER, TOKEN_PROTOCOL
 from companion.monitor.commander import readiness_view
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.formation import FlownSlot
@@ -56,6 +58,33 @@ def test_no_command_without_the_token(token: str | None) -> None:
         assert vehicles.commands == []
 
     with_fleet(work)
+
+
+def test_strangers_with_sockets_shut_out_neither_the_operator_nor_another_address() -> None:
+    async def work(server: Served, _vehicles: LinkedVehicles) -> None:
+        live, offered = f"{server.url}/api/v1/live", (LIVE_PROTOCOL, TOKEN_PROTOCOL + TOKEN)
+        async with ClientSession() as http, ClientSession(connector=TCPConnector(local_addr=("127.0.0.2", 0))) as other:
+            opened = await asyncio.gather(*(http.ws_connect(live) for _ in range(100)), return_exceptions=True)
+            strangers = [one for one in opened if not isinstance(one, BaseException)]
+            assert len(strangers) == MOST_OF_ADDRESS
+            with pytest.raises(WSServerHandshakeError, match="503"):
+                await http.ws_connect(live, protocols=(LIVE_PROTOCOL, TOKEN_PROTOCOL + "wrong"))
+            status, answer = await server.get("/api/v1/live")  # as the page asks for the reason
+            assert (status, "open the URL that companion monitor printed" in answer["error"]) == (503, True)
+            async with other.ws_connect(live) as beside, http.ws_connect(live, protocols=offered) as of_page:
+                assert (await beside.receive_json())["type"] == "snapshot"
+                assert (await of_page.receive_json())["type"] == "snapshot"
+                assert of_page.protocol == LIVE_PROTOCOL  # a browser takes no connection that chooses none
+            async with http.ws_connect(live, headers={TOKEN_HEADER: TOKEN}) as of_program:
+                assert (await of_program.receive_json())["type"] == "snapshot"
+            await strangers[0].close()
+            await until_served(lambda: has_place(server))
+
+    with_fleet(work)
+
+
+async def has_place(server: Served) -> bool:
+    return (await server.get("/api/v1/live"))[0] == 426
 
 
 def test_an_alarm_is_acknowledged_only_with_the_token() -> None:

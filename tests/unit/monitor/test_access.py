@@ -268,10 +268,26 @@ def test_connections_without_a_request_keep_nobody_out() -> None:
     with_server(work)
 
 
+def test_one_address_with_connections_ends_no_request_of_another() -> None:
+    """One that takes long to send its request, as over a slow network."""
+
+    async def work(server: Served) -> None:
+        port = int(server.url.rpartition(":")[2])
+        reader, slow = await asyncio.open_connection("127.0.0.1", port, local_addr=("127.0.0.2", 0))
+        slow.write(b"GET /api/v1/snapshot HTTP/1.1\r\n")
+        idle = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2 * MOST_CONNECTIONS)]
+        slow.write(f"Host: 127.0.0.1:{port}\r\n\r\n".encode())
+        assert (await reader.readline()).startswith(b"HTTP/1.1 200")
+        for writer in [slow, *(writer for _, writer in idle)]:
+            writer.close()
+
+    with_server(work)
+
+
 @pytest.mark.parametrize(
     ("address", "loopback"),
-    [("127.0.0.1", True), ("127.8.8.8", True), ("[::1]", True), ("localhost", True), ("0.0.0.0", False), ("[::]", False),
-     ("192.168.1.5", False), ("ground", False)],
+    [("127.0.0.1", True), ("[::ffff:127.0.0.1]", True), ("127.8.8.8", True), ("[::1]", True), ("localhost", True),
+     ("0.0.0.0", False), ("[::]", False), ("192.168.1.5", False), ("ground", False)],
 )  # fmt: skip
 def test_an_address_that_others_reach_is_no_loopback(address: str, loopback: bool) -> None:
     assert is_loopback(address) is loopback

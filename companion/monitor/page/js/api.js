@@ -18,6 +18,23 @@ readToken();
 
 export const hasToken = () => token !== "";
 
+/**
+ * The subprotocols of a WebSocket, to which a page can add no header: with the token the server keeps a place for it.
+ * Other characters than those of a token would be an error of the page.
+ */
+export const liveProtocols = () => (/^[\w-]+$/.test(token) ? ["companion", `companion.token.${token}`] : []);
+
+/** Why the server has no place for the WebSocket of this page; "" where it has, or does not answer. */
+export async function whyNoPlace() {
+  const options = { headers: { "X-Companion-Token": token }, signal: AbortSignal.timeout(PATIENCE_MS) };
+  try {
+    const response = await fetch("api/v1/live", options);
+    return response.status === 503 ? (await response.json()).error : "";
+  } catch {
+    return "";
+  }
+}
+
 /** Whether the server would take commands of this page: each start of the server makes a new token. */
 export const mayCommand = async () => hasToken() && (await get("control")).allowed;
 

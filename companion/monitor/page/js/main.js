@@ -141,8 +141,13 @@ const live = new LiveConnection(
     if (nowMs - panelsMs >= PANELS_MS) schedulePanels();
   },
   () => {
+    store.refused = "";
     store.loadHistory();
     commanding.checkControl();
+  },
+  (reason) => {
+    store.refused = reason;
+    schedule();
   },
 );
 

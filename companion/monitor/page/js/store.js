@@ -15,6 +15,7 @@ export class Store {
   constructor() {
     this.snapshot = null;
     this.arrivedMs = null; // of the snapshot
+    this.refused = ""; // why the server sends this page nothing
     this.freshness = new Freshness();
     this.trails = new Trails();
     this.history = new History();

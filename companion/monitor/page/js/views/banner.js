@@ -19,6 +19,7 @@ function abortError({ abortError }) {
 
 function state(store, commanding, nowMs) {
   const lost = store.snapshot && store.freshness.lost(nowMs);
+  if (store.refused && (lost || !store.snapshot)) return html`<p class="refused">${refusedText(store, nowMs)}</p>`;
   if (lost) return html`<p class="lost-server">${lostText(store.freshness, nowMs)}</p>`;
   if (!store.snapshot) return html`<p class="waiting">Waiting for the server.</p>`;
   if (store.controls && commanding.hasLostControl) {
@@ -27,6 +28,11 @@ function state(store, commanding, nowMs) {
   }
   if (store.snapshot.replay) return html`<p class="replayed">REPLAY of a recorded flight. Nothing here is live.</p>`;
   return nothing;
+}
+
+function refusedText({ snapshot, refused, freshness }, nowMs) {
+  const old = snapshot ? html` Everything below is ${age(freshness.ageS(nowMs))} old.` : nothing;
+  return html`<strong>This page gets no data:</strong> ${refused}. It tries again by itself.${old}`;
 }
 
 function lostText(freshness, nowMs) {
