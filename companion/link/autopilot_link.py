@@ -91,7 +91,7 @@ class AutopilotLink:
         self._present = asyncio.Event()
         self._pass_on: Callable[[Sequence[bytes]], None] | None = None
         self._record = record
-        self._link = open_link(endpoint, self._bytes_arrived, self._all_read)
+        self._link = open_link(endpoint, self._bytes_arrived, self._all_read, translator.receive_beside)
 
     @property
     def is_connected(self) -> bool:

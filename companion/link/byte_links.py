@@ -24,6 +24,7 @@ from typing import Any, TypeVar
 from companion.types.errors import CompanionError
 
 Received = Callable[[bytes, float], bool]  # (bytes, time of arrival) -> whether they are from the autopilot
+ReceivedBeside = Callable[[bytes, float], bool]  # likewise from another address -> whether two autopilots send in turn
 Datagram = TypeVar("Datagram")
 AllRead = Callable[[], None]  # after `Received` was called for all that waited, up to a limit
 
@@ -97,7 +98,14 @@ def read_waiting(receive: Callable[[], Datagram], most: int) -> Iterator[Datagra
             continue  # ICMP error for a datagram sent earlier
 
 
-def open_link(endpoint: str, received: Received, all_read: AllRead) -> UdpLink | StreamLink:
+def no_autopilot(_data: bytes, _received_s: float) -> bool:
+    """What other addresses send is not looked at."""
+    return False
+
+
+def open_link(
+    endpoint: str, received: Received, all_read: AllRead, beside: ReceivedBeside = no_autopilot
+) -> UdpLink | StreamLink:
     """The link for "udpin:HOST:PORT", "tcp:HOST:PORT" or "serial:DEVICE:BAUD". Raises LinkError."""
     kind, _, rest = endpoint.partition(":")
     address, _, number = rest.rpartition(":")
@@ -107,13 +115,15 @@ def open_link(endpoint: str, received: Received, all_read: AllRead) -> UdpLink |
         return StreamLink(SerialLine(address, int(number)), received, all_read)
     if kind == "tcp":
         return StreamLink(TcpConnection(address, int(number)), received, all_read)
-    return UdpLink(address, int(number), received, all_read)
+    return UdpLink(address, int(number), received, all_read, beside)
 
 
 DATAGRAM_BYTES = 4096  # autopilots send at most an Ethernet frame
 DATAGRAMS_PER_WAKE_UP = 64  # the rest wakes the loop again, after a tick that may be due
 BYTES_PER_WAKE_UP = 8192  # some 200 messages: 2 ms
 RELOCK_AFTER_S = 5.0  # a restarted autopilot may send from another port
+MOST_LOOKS = 64  # at datagrams of other addresses, in LOOKS_S: a flood of them costs no more
+LOOKS_S = 1.0
 
 _SO_TIMESTAMPNS = 35  # Linux; missing in the socket module
 _TIMESPEC = struct.Struct("@ll")
@@ -123,11 +133,16 @@ _ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size)
 class UdpLink:
     """Listens and answers only the address that first sent packets of the autopilot.
 
+    What other addresses send meanwhile goes to `beside` alone: another autopilot with the same id may be among them.
+
     Times of arrival are the kernel's: datagrams that waited during a pause of this process keep their true age.
     """
 
-    def __init__(self, host: str, port: int, received: Received, all_read: AllRead) -> None:
-        self._received, self._all_read = received, all_read
+    def __init__(
+        self, host: str, port: int, received: Received, all_read: AllRead, beside: ReceivedBeside = no_autopilot
+    ) -> None:
+        self._received, self._all_read, self._beside = received, all_read, beside
+        self._looks, self._looks_since_s, self._has_warned = 0, float("-inf"), False
         self._socket = _bound_udp_socket(host, port)
         self._autopilot: tuple[str, int] | None = None
         self._heard_s = float("-inf")
@@ -177,12 +192,26 @@ class UdpLink:
         self._anything_arrived = True
         is_locked = self._autopilot is not None and received_s - self._heard_s < RELOCK_AFTER_S
         if is_locked and sender != self._autopilot:
+            self._look(data, received_s, sender)
             return
         if self._received(data, received_s):
             if sender != self._autopilot:
-                self._autopilot = sender
+                self._autopilot, self._has_warned = sender, False
                 _log.info("autopilot at %s:%d", *sender[:2])
             self._heard_s = received_s
+
+    def _look(self, data: bytes, received_s: float, sender: tuple[str, int]) -> None:
+        """At a datagram of another address than the autopilot's."""
+        if not 0.0 <= received_s - self._looks_since_s < LOOKS_S:
+            self._looks, self._looks_since_s = 0, received_s
+        self._looks += 1
+        if self._looks > MOST_LOOKS or not self._beside(data, received_s) or self._has_warned:
+            return
+        self._has_warned = True
+        followed = self._autopilot or sender
+        _log.warning(
+            "an autopilot with the same id sends from %s:%d, too; %s:%d is followed", *sender[:2], *followed[:2]
+        )
 
 
 def _bound_udp_socket(host: str, port: int) -> socket.socket:

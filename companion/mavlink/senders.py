@@ -11,6 +11,7 @@ AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 RADIO_STATUS = mavlink.MAVLINK_MSG_ID_RADIO_STATUS
 MOST_NAMED = 8
 STEPS_BACK, WITHIN_S = 10, 3.0  # reordered datagrams are fewer; two streams give some 20 a second
+BESIDE, BESIDE_WITHIN_S = 3, 5.0  # HEARTBEATs alone come once a second; a router that starts again gives one
 AHEAD = 128  # a sequence number counts modulo 256: a larger step is one back
 
 
@@ -49,24 +50,34 @@ class StreamOrder:
     """Whether the packets of the autopilot are of one stream.
 
     Behind a multipoint radio, or a program that merges links, two autopilots with one system id look like one that obeys, and
-    both arm. Their sequence numbers and clocks go to and fro; those of one autopilot only increase, whatever is lost.
+    both arm. Their sequence numbers and clocks go to and fro; those of one autopilot only increase, whatever is lost. Over UDP
+    two may come from two addresses. One that comes from a new one is no second one: the old one is silent from then on.
     """
 
     def __init__(self) -> None:
         self._back_s: deque[float] = deque(maxlen=STEPS_BACK)  # when a number went back
         self._last: tuple[int, bytes] | None = None
         self._boot_s = -inf
+        self._beside_s: deque[float] = deque(maxlen=BESIDE)  # when another address sent, after this one had sent again
+        self._heard_since = False
 
     def receive(self, packet: Packet, received_s: float) -> None:
         """A packet of the autopilot."""
         if packet.message_id == RADIO_STATUS:
             return
+        self._heard_since = True
         last, self._last = self._last, (packet.sequence, packet.data)
         if last is None:
             return
         step = (self._last[0] - last[0]) % 256
         if step >= AHEAD or (step == 0 and packet.data != last[1]):
             self._back_s.append(received_s)
+
+    def receive_beside(self, received_s: float) -> None:
+        """A packet with the autopilot's id from another address than the one that is followed."""
+        if self._heard_since:
+            self._heard_since = False
+            self._beside_s.append(received_s)
 
     def receive_clock(self, boot_s: float, received_s: float) -> None:
         """The autopilot's clock in one of its positions."""
@@ -76,4 +87,6 @@ class StreamOrder:
 
     def interleaves(self, now_s: float) -> bool:
         """Whether two streams have arrived in turn just now."""
+        if len(self._beside_s) == BESIDE and now_s - self._beside_s[0] < BESIDE_WITHIN_S:
+            return True
         return len(self._back_s) == STEPS_BACK and now_s - self._back_s[0] < WITHIN_S

@@ -39,6 +39,7 @@ class Translator:
     def __init__(self, vehicle_id: int, autopilot: AutopilotKind | None = None, key: SigningKey | None = None) -> None:
         self._system_id = vehicle_id
         self._codec = MavlinkCodec(vehicle_id, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER, key)
+        self._beside_codec = MavlinkCodec(vehicle_id, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER, key)
         self._relay_codec = MavlinkCodec(vehicle_id, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER)
         self._has_key = key is not None
         self._texts = telemetry.TextAssembler()
@@ -93,6 +94,14 @@ class Translator:
             self.refused_signature = next((code for code in SIGNATURE_CODES if code in refused), self.refused_signature)
             refused.clear()
         return samples
+
+    def receive_beside(self, data: bytes, received_s: float) -> bool:
+        """Bytes from elsewhere than the autopilot's address. Whether packets with its id arrive there and here in turn."""
+        for packet in self._beside_codec.read(data):
+            if packet.system_id == self._system_id and packet.component_id == AUTOPILOT:
+                self._order.receive_beside(received_s)
+        self._beside_codec.refused.clear()
+        return self._order.interleaves(received_s)
 
     @property
     def packets(self) -> list[bytes]:

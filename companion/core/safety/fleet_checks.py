@@ -25,7 +25,7 @@ SET_ORIGIN = (
     "wait for the position fix; indoors set the origin once after its start (SET_GPS_GLOBAL_ORIGIN, altitude 0)"
 )
 TWO_STREAMS = (
-    "the sequence numbers or clocks of its packets go to and fro: two streams with this system id arrive in turn"
+    "two streams with this system id arrive in turn: from two addresses, or sequence numbers or clocks go to and fro"
 )
 ONE_ID_EACH = "give each autopilot an id of its own (MAV_SYS_ID, SYSID_THISMAV), or let one arrive over one way only"
 FORMED = frozenset({FlightPhase.ENGAGE, FlightPhase.FORMATION})

@@ -11,8 +11,14 @@ from contextlib import contextmanager
 import pytest
 
 from companion.link.byte_links import LinkError, UdpLink, open_link
+from companion.mavlink.codec import MavlinkCodec, mavlink
+from companion.mavlink.translator import Translator
+from companion.types.autopilot import AutopilotKind
 
 HOST = "127.0.0.1"
+HEARTBEAT = MavlinkCodec(3, 1).encode(
+    mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, 0, 0, 4, 3)
+)
 
 
 @contextmanager
@@ -78,6 +84,56 @@ def test_only_the_autopilot_address_is_used() -> None:
                 other.setblocking(False)
                 with pytest.raises(BlockingIOError):
                     other.recv(100)
+        task.cancel()
+        link.close()
+
+    with free_port() as port:
+        asyncio.run(scenario(port))
+
+
+def test_another_address_with_the_autopilot_s_id_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
+    async def scenario(port: int) -> None:
+        recorder, translator = Recorder(), Translator(3, AutopilotKind.PX4)
+
+        def received(data: bytes, received_s: float) -> bool:
+            return recorder(data, received_s) or bool(translator.telemetry(data, received_s))
+
+        link = UdpLink(HOST, port, received, ignore, translator.receive_beside)
+        task = asyncio.create_task(link.run())
+        with sender(port) as autopilot, sender(port) as second:
+            for _ in range(6):
+                count = len(recorder.received)
+                if count:
+                    second.send(HEARTBEAT)
+                autopilot.send(HEARTBEAT)
+                await until(lambda count=count: len(recorder.received) > count)
+            link.send(b"setpoint")
+            assert autopilot.recv(100) == b"setpoint"  # the first one is followed as before
+            warnings = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+            followed, other = (f"{HOST}:{one.getsockname()[1]}" for one in (autopilot, second))
+            assert warnings == [f"an autopilot with the same id sends from {other}, too; {followed} is followed"]
+        task.cancel()
+        link.close()
+
+    with free_port() as port:
+        asyncio.run(scenario(port))
+
+
+def test_a_flood_from_another_address_is_looked_at_now_and_then() -> None:
+    async def scenario(port: int) -> None:
+        recorder, looked = Recorder(), Recorder()
+        link = UdpLink(HOST, port, recorder, ignore, looked)
+        task = asyncio.create_task(link.run())
+        with sender(port) as autopilot, sender(port) as other:
+            autopilot.send(b"A1")
+            await until(recorder.data)
+            for _ in range(20):
+                for _ in range(50):
+                    other.send(b"Another")
+                autopilot.send(b"A2")
+                await asyncio.sleep(0)
+            await until(lambda: len(recorder.received) > 20)
+            assert 0 < len(looked.received) < 1000
         task.cancel()
         link.close()
 

@@ -102,6 +102,69 @@ def test_the_other_one_gone_the_autopilot_is_one_again() -> None:
     assert not beats[-1]
 
 
+# ---------------------------------------------------------------- from two addresses
+
+
+def beside(own_at_s: Iterable[float], other_at_s: Iterable[float], other: bytes) -> list[float]:
+    """When the HEARTBEATs of the followed address said that another one sends too. Only HEARTBEATs are sent."""
+    translator, own = Translator(3, PX4), beat(3, 1, M.MAV_TYPE_QUADROTOR, MAV_AUTOPILOT[PX4])
+    found = []
+    for now_s, is_own in sorted([*((t, True) for t in own_at_s), *((t, False) for t in other_at_s)]):
+        if not is_own:
+            translator.receive_beside(other, now_s)
+        elif any(s.interleaves for s in translator.telemetry(own, now_s) if isinstance(s, HeartbeatSample)):
+            found.append(now_s)
+    return found
+
+
+def times(begin_s: float, end_s: float, rate_hz: float) -> list[float]:
+    return [begin_s + step / rate_hz for step in range(round((end_s - begin_s) * rate_hz))]
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 4.0, 50.0])
+@pytest.mark.parametrize("own_hz", [1.0, 50.0])
+def test_two_with_one_id_are_seen_though_one_address_is_followed(own_hz: float, rate_hz: float) -> None:
+    found = beside(times(0.0, 30.0, own_hz), times(10.01, 20.0, rate_hz), beat(3, 1, M.MAV_TYPE_QUADROTOR, 12))
+    assert 10.01 < found[0] < 14.0
+    assert 19.0 < found[-1] < 25.0  # and no longer, as the other one is gone
+
+
+def test_a_router_that_starts_again_at_another_port_is_no_second_autopilot() -> None:
+    """The old port is silent from then on; the link follows the new one after a while."""
+    same = beat(3, 1, M.MAV_TYPE_QUADROTOR, MAV_AUTOPILOT[PX4])
+    assert beside([*times(0.0, 10.0, 50.0), *times(15.2, 20.0, 50.0)], times(10.01, 15.0, 50.0), same) == []
+
+
+@pytest.mark.parametrize(
+    "other",
+    [b"", b"\xfd" * 300, b"\xfe\x00\x00\x03\x01\x00\x00\x00"],  # the last with a wrong checksum
+)
+def test_what_is_no_packet_of_the_autopilot_is_no_second_one(other: bytes) -> None:
+    assert beside(times(0.0, 20.0, 50.0), times(0.01, 20.0, 5.0), other) == []
+
+
+@pytest.mark.parametrize(("system_id", "component_id"), [(4, 1), (3, 191), (255, 190)])
+def test_others_at_another_address_are_none_with_this_id(system_id: int, component_id: int) -> None:
+    other = beat(system_id, component_id, M.MAV_TYPE_QUADROTOR, MAV_AUTOPILOT[PX4])
+    assert beside(times(0.0, 20.0, 50.0), times(0.01, 20.0, 5.0), other) == []
+
+
+def test_on_a_signed_link_a_stranger_is_no_second_autopilot() -> None:
+    key = SigningKey(bytes([7] * 32), 1, lambda: 1_800_000_000.0)
+    translator, own = Translator(3, PX4, key), MavlinkCodec(3, 1, key)
+    message = M.MAVLink_heartbeat_message(M.MAV_TYPE_QUADROTOR, MAV_AUTOPILOT[PX4], 0, HOLD[PX4], 4, 3)
+    forged = MavlinkCodec(3, 1, SigningKey(bytes([8] * 32), 1, key.unix_time_s))
+    for step in range(100):
+        (sample, _) = translator.telemetry(own.encode(message), 0.1 * step)
+        assert isinstance(sample, HeartbeatSample)
+        assert not sample.interleaves
+        translator.receive_beside(forged.encode(message), 0.1 * step + 0.05)
+    assert (translator.rejected, translator.refused_signature) == ({}, None)  # it is not this autopilot that errs
+
+
+# ---------------------------------------------------------------- in flight
+
+
 class Pair(AutopilotOnBytes):
     """Two autopilots with one system id behind one port; both obey. The other one was switched on earlier by this time."""
 
