@@ -24,6 +24,7 @@ from companion.link.fleet.zenoh_session import EndpointError
 from companion.link.ground_link import GroundStationLink
 from companion.link.log import flush_log
 from companion.link.systemd import Notifier, log_as_service
+from companion.link.takeoff_file import TakeoffFile, takeoff_path
 from companion.link.tick import TickTrigger, monotonic_s
 from companion.mavlink.autopilot_types import AGENT_STREAMS
 from companion.mavlink.ground_station import GroundStationFilter
@@ -98,6 +99,10 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
         beside: list[Job] = []
         if identity:
             beside.append(_admissions(identity, peers).run)
+        if takeoff := _takeoff_file(config, agent):
+            if kept := takeoff.read(monotonic_s()):
+                autopilot.begin_with(kept)
+            beside.append(takeoff.run)
         if vehicle.ground_station:
             ground = stack.enter_context(closing(_ground_station(settings, config, autopilot, agent)))
             beside.append(ground.run)
@@ -116,6 +121,14 @@ def _recorder(settings: Settings, config: AgentConfig, session: int) -> Recorder
 
     _log.info("records into %s", folder)
     return recorder_of(config, session, folder, time.time(), monotonic_s(), WritingThread())
+
+
+def _takeoff_file(config: AgentConfig, agent: Agent) -> TakeoffFile | None:
+    """Only where heights count from the take-off, and where the agent has a folder for its state."""
+    path = takeoff_path(config.vehicle.id, os.environ)
+    if path is None or config.fleet.altitude_source != "takeoff":
+        return None
+    return TakeoffFile(path, config, agent.perception)
 
 
 def _identity(settings: Settings, config: AgentConfig) -> Identity | None:

@@ -156,8 +156,8 @@ def check_request(request: FormationRequest, fleet: FleetConfig) -> None:
 def resolve_slots(request: FormationRequest, statuses: Sequence[Status], fleet: FleetConfig) -> dict[int, Vector3]:
     """The slot of each vehicle of the fleet: as in the file, the flown one, or assigned for a shape. Raises ConfigError.
 
-    A shape has a slot for a vehicle without a status, too: one that is left over. Of such a vehicle the slot in the fleet file
-    counts as flown.
+    A shape has a slot for a vehicle without a status or a position, too: one that is left over. Of a vehicle without a status
+    the slot in the fleet file counts as flown.
     """
     ids = sorted({member.id for member in fleet.vehicles} | {status.agent.vehicle_id for status in statuses})
     if request.shape and request.spacing_m is not None:
@@ -176,19 +176,25 @@ def flown_slots_enu_m(statuses: Iterable[Status]) -> dict[int, Vector3]:
 
 
 def positions_enu_m(statuses: Sequence[Status]) -> dict[int, Vector3]:
-    """Positions of the vehicles in the formation's frame: their slots in flight, their own positions before a formation.
+    """Positions of the vehicles in the formation's frame: their slots in flight, before it their own where they are known.
 
     Own positions are not relative to the RFT; that changes neither the assignment of slots nor the distances of vehicles.
     """
     if any(status.phase is FlightPhase.FORMATION for status in statuses):
         return flown_slots_enu_m(statuses)
-    return {s.agent.vehicle_id: rotated(s.motion.position_enu_m, -s.formation.heading.angle_rad, 1.0) for s in statuses}
+    return {
+        s.agent.vehicle_id: rotated(s.motion.position_enu_m, -s.formation.heading.angle_rad, 1.0)
+        for s in statuses
+        if s.motion.is_known
+    }
 
 
 def assign_slots(flown_enu_m: Mapping[int, Vector3], slots_enu_m: Sequence[Vector3]) -> dict[int, Vector3]:
     """A slot for each vehicle with the least sum of squared distances: no two straight paths cross (see transition.py)."""
     from scipy.optimize import linear_sum_assignment  # takes seconds to load
 
+    if not flown_enu_m:
+        return {}
     ids = sorted(flown_enu_m)
     cost_m2 = [
         [sum((a - b) ** 2 for a, b in zip(flown_enu_m[i], slot, strict=True)) for slot in slots_enu_m] for i in ids

@@ -177,7 +177,9 @@ NEXT_STEP = {
     CommandName.TAKEOFF: "send arm first and wait until it has finished",
     CommandName.RETURN: "it returns from hold or formation; send hold or land to a vehicle in another phase",
 }
-POSITION_FLAGS = frozenset({F.POSITION_STALE, F.FRAME_UNKNOWN, F.FRAME_CONTRADICTED, F.POSITION_JUMPED})
+POSITION_FLAGS = frozenset(
+    {F.POSITION_STALE, F.FRAME_UNKNOWN, F.GROUND_UNKNOWN, F.FRAME_CONTRADICTED, F.POSITION_JUMPED}
+)
 WHAT_NEXT = {
     CommandName.TAKEOFF: "remove the reason, then takeoff --only {rest}; or land --only {begun}",
     CommandName.RETURN: "return --only {rest} after the others are home, or land --only {rest}; hold --only {begun} stops them",

@@ -62,10 +62,11 @@ UNSECURED = "UNSECURED: strangers in its network can command it (security: none 
 
 def _status_lines(status: Status) -> list[str]:
     autopilot, (x, y, z) = status.autopilot, status.motion.position_enu_m
+    place = f"at {x:z.1f}, {y:z.1f}, {z:z.1f} m" if status.motion.is_known else "position unknown"
     battery = "unknown" if autopilot.battery_percent is None else f"{status.autopilot.battery_percent:.0f} %"
     state = (
         f"{status.phase:<9} {status.leadership.role:<8} {'armed' if autopilot.armed else 'disarmed':<8}"
-        f" {autopilot.mode_name:<12} at {x:z.1f}, {y:z.1f}, {z:z.1f} m"
+        f" {autopilot.mode_name:<12} {place}"
     )
     flown = (
         f"formation {formation_text(status)},"
@@ -82,8 +83,13 @@ def _status_lines(status: Status) -> list[str]:
 
 
 def status_as_data(statuses: Mapping[int, Status], silent: Sequence[int]) -> list[dict[str, Any]]:
-    """The whole report of each vehicle, with `reported`."""
-    data = {i: msgspec.to_builtins(STATUS_FORM.flat(status)) | {"reported": True} for i, status in statuses.items()}
+    """The whole report of each vehicle, with `reported`. A position that is unknown is None, and so is the velocity."""
+    data = {
+        i: msgspec.to_builtins(STATUS_FORM.flat(status))
+        | ({} if status.motion.is_known else {"position_enu_m": None, "velocity_enu_m_s": None})
+        | {"reported": True}
+        for i, status in statuses.items()
+    }
     return [data.get(i, {"vehicle_id": i, "reported": False}) for i in sorted({*statuses, *silent})]
 
 
@@ -94,7 +100,7 @@ def no_report(wait_s: float) -> Notice:
 F = HealthFlag
 
 ESTIMATOR = frozenset({F.POSITION_JUMPED, F.ESTIMATOR_BAD, F.POSITION_UNAIDED})
-ORIGIN = frozenset({F.FRAME_UNKNOWN, F.FRAME_CONTRADICTED, F.OUTSIDE_FENCE})
+ORIGIN = frozenset({F.FRAME_UNKNOWN, F.GROUND_UNKNOWN, F.FRAME_CONTRADICTED, F.OUTSIDE_FENCE})
 OTHER_CHECKS = ESTIMATOR | ORIGIN | BATTERY_FLAGS
 LATER = frozenset({F.LEADER_LOST, F.LEADER_AWAITED})  # a leader publishes no beacon before the fleet is in the air
 BATTERY = frozenset({Code.BATTERY_LOW})

@@ -98,6 +98,10 @@ class AutopilotLink:
         """Whether a HEARTBEAT of the autopilot was ever received."""
         return self._heartbeat_received.is_set()
 
+    def begin_with(self, sample: Telemetry) -> None:
+        """A sample for the first tick that does not come from the autopilot."""
+        self._telemetry.append(sample)
+
     def drain(self) -> tuple[Telemetry, ...]:
         """All telemetry since the last call."""
         telemetry = tuple(self._telemetry)

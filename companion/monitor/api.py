@@ -76,8 +76,8 @@ class VehicleView(Struct, frozen=True, kw_only=True):
     mode: str
     armed: bool
     landed: str
-    position_enu_m: Vector3
-    velocity_enu_m_s: Vector3
+    position_enu_m: Vector3 | None  # None, as the velocity, while the vehicle has no position
+    velocity_enu_m_s: Vector3 | None
     position_error_m: tuple[float, float] | None  # one sigma, horizontal and vertical
     battery_percent: float | None
     law: str

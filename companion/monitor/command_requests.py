@@ -205,20 +205,25 @@ def _formation(request: FormationRequest, fleet: FleetConfig, statuses: Sequence
                 _in_fleet_frame(slots_enu_m[i], status, reference_enu_m),
             )
             for i, status in zip(flown_enu_m, statuses, strict=True)
-        ),
+        )
+        if reference_enu_m
+        else (),
         smallest_separation_m=round(closest_m, 3) if closest_m < inf else None,
         lasts_s=round(change.lasts_s, 2),
         refused=refusal_of(slots_enu_m, fleet.separation_m, has_height) or "",
     )
 
 
-def _reference_enu_m(statuses: Sequence[Status]) -> Vector3:
-    """That of a leader; before there is one, the mean position of the vehicles less their slots."""
+def _reference_enu_m(statuses: Sequence[Status]) -> Vector3 | None:
+    """That of a leader; before there is one, the mean position of the vehicles less their slots. None without positions."""
     for status in statuses:
         if status.formation.reference_enu_m:
             return status.formation.reference_enu_m
-    slots = [turned_slot(status.formation.slot, status.formation.heading).position_enu_m for status in statuses]
-    return mean([minus(s.motion.position_enu_m, slot) for s, slot in zip(statuses, slots, strict=True)])
+    placed = [status for status in statuses if status.motion.is_known]
+    slots = [turned_slot(status.formation.slot, status.formation.heading).position_enu_m for status in placed]
+    return (
+        mean([minus(s.motion.position_enu_m, slot) for s, slot in zip(placed, slots, strict=True)]) if placed else None
+    )
 
 
 def _in_fleet_frame(slot_enu_m: Vector3, status: Status, reference_enu_m: Vector3) -> Vector3:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from itertools import combinations
 from math import dist, inf
@@ -41,7 +41,7 @@ class FleetFigures:
     def view(self, now_s: float, vehicles: Sequence[VehicleView]) -> FleetView:
         """Of these vehicles, all of this fleet."""
         fresh = [v for v in vehicles if not v.silent and v.data_age_s is not None and v.data_age_s <= SILENT_AFTER_S]
-        positions = {v.vehicle_id: v.position_enu_m for v in fresh}
+        positions = _positions_enu_m(fresh)
         among_them, unheard = smallest_separation(positions), nearest_unheard(fresh)
         smallest = min((found for found in (among_them, unheard) if found), default=None)
         if smallest and (not self._separations or now_s - self._separations[-1][0] >= SAMPLE_S - 1e-6):
@@ -84,7 +84,7 @@ class FleetFigures:
         self._link = None
         if isinstance(self._file.neighbours, RangeNeighbours):
             reach_m = self._file.neighbours.range_m + self._file.neighbours.hysteresis_m
-            self._link = weakest_link({i: v.position_enu_m for i, v in flying.items()}, edges, reach_m)
+            self._link = weakest_link(_positions_enu_m(flying.values()), edges, reach_m)
 
     def _trend_m_s(self, now_s: float) -> float | None:
         """The slope of the line through the last five seconds; None before there are two of them."""
@@ -95,6 +95,10 @@ class FleetFigures:
         mean_d = sum(d for _, d in samples) / len(samples)
         spread = sum([(t - mean_t) * (t - mean_t) for t, _ in samples])
         return round(sum([(t - mean_t) * (d - mean_d) for t, d in samples]) / spread, 3)
+
+
+def _positions_enu_m(vehicles: Iterable[VehicleView]) -> dict[int, Vector3]:
+    return {vehicle.vehicle_id: place for vehicle in vehicles if (place := vehicle.position_enu_m) is not None}
 
 
 def smallest_separation(positions_enu_m: Mapping[int, Vector3]) -> tuple[float, Pair] | None:

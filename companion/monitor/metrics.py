@@ -17,7 +17,7 @@ from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamil
 from prometheus_client.registry import Collector
 
 from companion.monitor.api import FleetView, Snapshot, VehicleView
-from companion.monitor.vehicle_view import is_old
+from companion.monitor.vehicle_view import fresh_position_enu_m, is_old
 from companion.types.code_table import SEVERITIES
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.values import FLEET_NAME
@@ -68,6 +68,16 @@ def _position_errors(vehicle: VehicleView) -> dict[str, Value]:
     return {"horizontal": horizontal_m, "vertical": vertical_m}
 
 
+def _altitude_m(vehicle: VehicleView) -> float | None:
+    place_enu_m = fresh_position_enu_m(vehicle)
+    return place_enu_m[2] if place_enu_m else None
+
+
+def _speed_m_s(vehicle: VehicleView) -> float | None:
+    velocity_enu_m_s = vehicle.velocity_enu_m_s
+    return None if is_old(vehicle) or velocity_enu_m_s is None else hypot(*velocity_enu_m_s)
+
+
 def _v(
     name: str, text: str, values: Callable[[VehicleView], Values], by: str = "", if_silent: bool = False
 ) -> Measure[VehicleView]:
@@ -99,8 +109,8 @@ VEHICLE_MEASURES: tuple[Measure[VehicleView], ...] = (
     _v("armed", "1 while the motors are armed", lambda v: v.armed),
     _v("leader", "1 while the vehicle is leader", lambda v: v.role == Role.LEADER),
     _v("battery_ratio", "Battery charge, 0 to 1", lambda v: _percent(v.battery_percent)),
-    _v("altitude_meters", "Height above the fleet's origin", lambda v: None if is_old(v) else v.position_enu_m[2]),
-    _v("speed_meters_per_second", "Speed", lambda v: None if is_old(v) else hypot(*v.velocity_enu_m_s)),
+    _v("altitude_meters", "Height above the fleet's origin", _altitude_m),
+    _v("speed_meters_per_second", "Speed", _speed_m_s),
     _v(
         "position_error_meters", "One sigma of the position by the autopilot's estimator", _position_errors, "direction"
     ),

@@ -34,7 +34,7 @@ from companion.monitor.api import (
 )
 from companion.monitor.events import EventLog, compare_reports
 from companion.monitor.fleet_figures import FleetFigures
-from companion.monitor.vehicle_view import is_old, vehicle_view
+from companion.monitor.vehicle_view import fresh_position_enu_m, vehicle_view
 from companion.types.autopilot import LandedState
 from companion.types.notices import Code
 from companion.types.values import Vector3
@@ -88,7 +88,8 @@ class Picture:
             if before is not None:
                 for kind, code, text in compare_reports(before.report.status, status):
                     self.events.add(arrived_s + unix_ahead_s, *key, kind, code, text)
-            if not status.autopilot.armed and status.autopilot.landed is LandedState.ON_GROUND:
+            on_ground = not status.autopilot.armed and status.autopilot.landed is LandedState.ON_GROUND
+            if on_ground and status.motion.is_known:
                 self._homes.setdefault(status.agent.fleet, {})[status.agent.vehicle_id] = status.motion.position_enu_m
         if len(self._arrivals) > len(self._state.vehicles):
             self._forget_displaced()
@@ -225,9 +226,10 @@ class HistoryRing:
 
 
 def _sample(vehicle: VehicleView) -> HistorySample:
+    place_enu_m = fresh_position_enu_m(vehicle)
     return HistorySample(
         vehicle_id=vehicle.vehicle_id,
-        altitude_m=None if is_old(vehicle) else vehicle.position_enu_m[2],
+        altitude_m=place_enu_m[2] if place_enu_m else None,
         error_to_slot_m=vehicle.error_to_slot_m,
         battery_percent=vehicle.battery_percent,
         late_p99_ms=vehicle.timing.late_p99_ms,

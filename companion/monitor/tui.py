@@ -147,6 +147,7 @@ def vehicle_as_data(vehicle: ReportedVehicle) -> dict[str, Any]:
     status, flat = vehicle.status, STATUS_FORM.flat(vehicle.status)
     return {
         **{key: getattr(flat, key) for key in PRINTED_OF_STATUS},
+        "position_enu_m": flat.position_enu_m if status.motion.is_known else None,
         "error_to_slot_m": vehicle.error_to_slot_m,
         "age_s": vehicle.age_s,
         "data_age_s": vehicle.data_age_s,

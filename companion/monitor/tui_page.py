@@ -17,7 +17,7 @@ from typing import NamedTuple
 from companion.geometry.formations import separation_distance_m
 from companion.ground.answers import count, id_list
 from companion.monitor.api import FleetView, Snapshot, VehicleView
-from companion.monitor.vehicle_view import advice_of, is_old
+from companion.monitor.vehicle_view import advice_of, fresh_position_enu_m, is_old
 from companion.types.code_table import code_table
 from companion.types.notices import Code
 from companion.types.values import printable
@@ -80,11 +80,12 @@ def fleets(snapshot: Snapshot) -> Iterator[FleetRows]:
     """Distances are in the metric of `separation_m`, between vehicles whose positions are not old."""
     for view in snapshot.fleets:
         vehicles = [vehicle for vehicle in snapshot.vehicles if vehicle.fleet == view.name]
-        known = [vehicle for vehicle in vehicles if not vehicle.silent and not is_old(vehicle)]
-        pairs = [
-            (separation_distance_m(a.position_enu_m, b.position_enu_m), a.vehicle_id, b.vehicle_id)
-            for a, b in combinations(known, 2)
+        known = [
+            (vehicle.vehicle_id, place_enu_m)
+            for vehicle in vehicles
+            if not vehicle.silent and (place_enu_m := fresh_position_enu_m(vehicle)) is not None
         ]
+        pairs = [(separation_distance_m(a, b), i, j) for (i, a), (j, b) in combinations(known, 2)]
         nearest: dict[int, tuple[float, int]] = {}
         for distance_m, one, other in sorted(pairs, reverse=True):  # the last one that stays is the nearest
             nearest[one], nearest[other] = (distance_m, other), (distance_m, one)
@@ -302,6 +303,10 @@ def _of_fresh_position(text: Callable[[VehicleView], str]) -> Callable[[TableRow
     return _live(lambda vehicle: NONE if is_old(vehicle) else text(vehicle))
 
 
+def _position(vehicle: VehicleView) -> str:
+    return " ".join(f"{component_m:z.1f}" for component_m in vehicle.position_enu_m or ())
+
+
 def _error(vehicle: VehicleView) -> str:
     return NONE if vehicle.error_to_slot_m is None else metres_text(vehicle.error_to_slot_m)
 
@@ -342,9 +347,7 @@ COLUMNS = (
         right=True,
     ),
     Column("rej", 4, 120, _live(lambda vehicle: count_text(vehicle.rejected)), right=True),
-    Column(
-        "position", 21, 142, _of_fresh_position(lambda v: " ".join(f"{x:z.1f}" for x in v.position_enu_m)), right=True
-    ),
+    Column("position", 21, 142, _of_fresh_position(_position), right=True),
     Column("sigma", 5, 148, _of_fresh_position(_estimator), right=True),
     Column("ref", 7, 156, _live(lambda vehicle: vehicle.reference), right=True),
     Column("flag", FLAG_WIDTH, 0, _flag),

@@ -13,6 +13,7 @@ from companion.tools.explanations import action_words
 from companion.types.code_table import code_entries
 from companion.types.flight import FLAG_TEXTS, STREAMING, HealthFlag
 from companion.types.status import NearestVehicle, NeighbourReport
+from companion.types.values import Vector3
 from companion.wire.messages import Timing
 
 MM = 3  # decimals of metres: half the bytes of a snapshot would be digits below a millimetre
@@ -22,6 +23,11 @@ NEVER_S = 1e5  # an agent without a position reports an age beyond this
 def is_old(vehicle: VehicleView) -> bool:
     """Whether its position is none that holds now."""
     return vehicle.data_age_s is None or vehicle.data_age_s > SILENT_AFTER_S
+
+
+def fresh_position_enu_m(vehicle: VehicleView) -> Vector3 | None:
+    """Its position where that holds now."""
+    return None if is_old(vehicle) else vehicle.position_enu_m
 
 
 def vehicle_view(vehicle: ReportedVehicle, report_rate_hz: float, fleet: FleetConfig | None) -> VehicleView:
@@ -43,8 +49,8 @@ def vehicle_view(vehicle: ReportedVehicle, report_rate_hz: float, fleet: FleetCo
         mode=autopilot.mode_name,
         armed=autopilot.armed,
         landed=autopilot.landed.name.lower(),
-        position_enu_m=rounded(motion.position_enu_m, MM),
-        velocity_enu_m_s=rounded(motion.velocity_enu_m_s, MM),
+        position_enu_m=rounded(motion.position_enu_m, MM) if motion.is_known else None,
+        velocity_enu_m_s=rounded(motion.velocity_enu_m_s, MM) if motion.is_known else None,
         position_error_m=(round(error.horizontal_m, MM), round(error.vertical_m, MM)) if error else None,
         battery_percent=_known(autopilot.battery_percent, 1),
         law=agent.law,

@@ -20,10 +20,11 @@ from typing import Any
 
 import yaml
 
+from companion.config.atomic import PRIVATE, write_file
 from companion.config.file import ConfigError, StrictLoader, read_regular
 from companion.config.fleet_check import load_fleet
 from companion.config.vehicle import load_agent
-from companion.security.identity import ADMITTED_FILE, PRIVATE, make_folder, remove_parts, write_file
+from companion.security.identity import ADMITTED_FILE, make_folder, remove_parts
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name
 
 IDENTITY = "identity"  # the folder, beside the vehicle file

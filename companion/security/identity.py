@@ -20,6 +20,7 @@ from pathlib import Path
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from companion.config.atomic import PART, PRIVATE, part_of, sync_folder, write_file
 from companion.config.file import ConfigError, read_regular
 from companion.security.admission import (
     MAX_LIST_BYTES,
@@ -40,38 +41,19 @@ from companion.security.admission import (
 )
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name
 
-PRIVATE, PUBLIC = 0o600, 0o644
 PRIVATE_FOLDER, PUBLIC_FOLDER = 0o700, 0o755
-PART = ".part"  # suffix of what is not complete yet
-
-
-def write_file(path: Path, content: bytes, mode: int = PUBLIC) -> None:
-    """Writes a file under another name in its folder, then renames it. A file in its place is replaced. Raises OSError."""
-    part = _part(path)
-    try:
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-        with os.fdopen(os.open(part, flags, PRIVATE), "wb") as file:
-            os.fchmod(file.fileno(), mode)
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-        _sync(path.parent)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
 
 
 @contextmanager
 def new_folder(path: Path, mode: int = PRIVATE_FOLDER) -> Iterator[Path]:
     """A folder under another name, which gets its name when it is complete. Nothing is left of it after an exception."""
-    part = _part(path)
+    part = part_of(path)
     try:
         make_folder(part, mode)
         yield part
-        _sync(part)
+        sync_folder(part)
         part.rename(path)
-        _sync(path.parent)
+        sync_folder(path.parent)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise
@@ -104,19 +86,6 @@ def one_at_a_time(folder: Path) -> Iterator[None]:
     except OSError as error:
         problem = f"{error.strerror}; then run the same command again, it completes what is missing"
         raise ConfigError(error.filename or folder, "", problem) from error
-    finally:
-        os.close(descriptor)
-
-
-def _part(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}{PART}")
-
-
-def _sync(folder: Path) -> None:
-    """So that a name is on the disk, too."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
     finally:
         os.close(descriptor)
 

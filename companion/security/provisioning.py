@@ -14,6 +14,7 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
+from companion.config.atomic import PRIVATE, write_file
 from companion.config.file import ConfigError
 from companion.security.admission import (
     Admitted,
@@ -41,7 +42,6 @@ from companion.security.identity import (
     AUTHORITY_FILE,
     CERTIFICATE_FILE,
     KEY_FILE,
-    PRIVATE,
     PUBLIC_FOLDER,
     Authority,
     create_authority,
@@ -50,7 +50,6 @@ from companion.security.identity import (
     one_at_a_time,
     open_authority,
     sign_list,
-    write_file,
 )
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name
 

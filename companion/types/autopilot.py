@@ -83,6 +83,7 @@ class VehicleState(Struct, frozen=True, gc=False):
     home_enu_m: Place | None = None  # the autopilot's home, where its return ends; None where it is not reported
     returns_elsewhere: str = ""  # why its return may end at another place
     frame_known: bool = False  # whether positions can be mapped into the fleet frame
+    ground_unknown: bool = False  # armed, and the height of its take-off is unknown, from which z would count
     altitude_amsl_m: float | None = None  # relative to the autopilot's origin; None until that is known
     frame_contradicted: bool = False  # the autopilot's origin and its global position disagree
     held_back_m: float = 0.0  # distance between the position used and the autopilot's
@@ -277,6 +278,19 @@ class TextSample(Struct, frozen=True, gc=False):
     failsafe: bool = False
 
 
+class GroundSample(Struct, frozen=True, gc=False):
+    """The ground of the last take-off, as the agent that ran before kept it: for an agent that starts again in the air.
+
+    `ground_up_m` is the height that z counts from, above the fleet's origin or the local one. It holds for the start of the
+    autopilot at `booted_s` of this computer's clock, to within `within_s`.
+    """
+
+    received_s: float
+    ground_up_m: float
+    booted_s: float
+    within_s: float
+
+
 Telemetry = (
     PositionSample
     | AttitudeSample
@@ -293,4 +307,5 @@ Telemetry = (
     | EstimatorSample
     | AckSample
     | TextSample
+    | GroundSample
 )

@@ -95,6 +95,11 @@ class MotionReport(Part, frozen=True, gc=False):
     state_age_s: Finite
     position_error: PositionError | None = None
 
+    @property
+    def is_known(self) -> bool:
+        """Whether there is a position; where there is none, position and velocity are zeros that say nothing."""
+        return self.state_age_s < NO_STATE_AGE_S
+
 
 class ControlReport(Part, frozen=True, gc=False):
     hover_thrust_norm: Finite  # estimated, or its initial value

@@ -8,6 +8,7 @@ from pathlib import Path
 from random import Random
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from companion.assembly import build_agent
@@ -18,7 +19,7 @@ from companion.mavlink.autopilot_types import DIALECTS
 from companion.recording.recorder import recorder_of
 from companion.recording.records import TimingRecord
 from companion.recording.writing import WritingAtOnce
-from companion.types.autopilot import AutopilotMode
+from companion.types.autopilot import AutopilotMode, Telemetry
 from companion.types.commands import Command, CommandName, CommandReply, Content
 from companion.types.peers import ReceivedTarget, TargetSample
 from companion.types.status import Status
@@ -40,6 +41,7 @@ from sitl.vehicle.truth import TRUTH_HEADER, truth_row
 BoolArray = NDArray[np.bool_]
 TELEMETRY_STEPS = 5  # between two positions, and between two rows of a track
 STREAM_ENDED_AFTER_S = 0.1  # without a newer attitude target
+KEPT_WITHIN_S = 2.0  # the start of the autopilot that an agent knew from before is that of now
 OFF_GROUND_M = 0.1  # higher than this above its start
 STATE_KEPT = 10  # numbers of a state: position, velocity, attitude
 OPERATOR = "sitl-run"
@@ -221,6 +223,7 @@ class VirtualAgent:
         ends = (end for end in scenario.agent_ends if end.vehicle == self.vehicle_id)
         self._ends = sorted(ends, key=lambda end: end.at_s)  # those that are not over yet
         self._starts = 1
+        self._kept: tuple[Telemetry, ...] = ()  # for the first tick of a new agent
         self._recordings = recordings
         self._start()
         self._commands: tuple[Command, ...] = ()
@@ -243,7 +246,8 @@ class VirtualAgent:
 
     def tick(self, now_s: float) -> None:
         runs = self._process_runs(now_s)
-        telemetry, packets = self.link.drain(now_s), self.network.receive(self.vehicle_id, now_s)
+        telemetry, packets = self._kept + self.link.drain(now_s), self.network.receive(self.vehicle_id, now_s)
+        self._kept = ()
         targets = tuple([ReceivedTarget(now_s, name, target) for name, target in self._targets])
         inbox = Inbox(telemetry, packets, self._commands, targets=targets)
         self._commands, self._targets = (), ()
@@ -263,11 +267,16 @@ class VirtualAgent:
             self._recorder.close()
 
     def _process_runs(self, now_s: float) -> bool:
-        """Whether the agent's process runs. A new one that is due is started, with its own session and without memory."""
+        """Whether the agent's process runs. A new one that is due is started, with its own session.
+
+        It knows what the one before has kept of the take-off, and nothing else.
+        """
         if self._ends and now_s >= self._ends[0].until_s:
             self._ends.pop(0)
             self._starts += 1
             self.close()
+            takeoff = self.agent.perception.takeoff
+            self._kept = (replace(takeoff, within_s=KEPT_WITHIN_S),) if takeoff else ()
             self._start()
         return not self._ends or now_s < self._ends[0].at_s
 

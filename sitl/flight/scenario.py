@@ -204,7 +204,7 @@ class MovingTarget(Section, frozen=True, kw_only=True):
 class AgentEnd(Section, frozen=True, kw_only=True):
     """The process of one agent ends: it neither sends nor receives.
 
-    A new one may start, as systemd starts it. It has a new session, knows nothing of the flight, and observes.
+    A new one may start, as systemd starts it. It has a new session, knows the height of its take-off alone, and observes.
 
     at_s: time of the flight
     restarts_after_s: time after the end at which a new agent starts; without it none does

@@ -382,7 +382,7 @@ class CooperatingFleet:
         around = {
             i: vehicle.step(
                 self.now_s,
-                VehicleState(position_enu_m=ZERO3, armed=True),
+                VehicleState(position_enu_m=ZERO3, position_time_s=self.now_s, armed=True),
                 Flight(self.phases[i], in_formation=self.phases[i] is not FlightPhase.HOLD),
                 self._received_by(i),
                 fit_to_lead=self.phases[i] is FlightPhase.FORMATION,

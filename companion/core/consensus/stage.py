@@ -52,7 +52,7 @@ from companion.types.notices import Answer, Notice
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
 
 # Member lookup of an enum is slow, and every tick needs these.
-LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION
+LEADER, FOLLOWER, FORMATION = Role.LEADER, Role.FOLLOWER, FlightPhase.FORMATION
 LEADER_AWAITED, LEADER_LOST = HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST
 EPOCHS_PER_S = 1.0  # changes of leader that may be missed in time
 FORMING_S = 2.0  # so long a formation may take to come together
@@ -61,6 +61,7 @@ FORMING_S = 2.0  # so long a formation may take to come together
 class LeadView(Struct, frozen=True, gc=False):
     """The own role and term, and what this vehicle knows of its leader.
 
+    Armed and without a position it is no leader, whatever its file or a command says: nobody could follow it.
     `beacon` is the one to pass on, None without a fresh leader. `heading` is that of the formation as peers report it, None
     where this vehicle decides it. `reference_s` is mission time, as far as this vehicle knows: how far the fleet is in the RFT.
     """
@@ -193,14 +194,14 @@ class ConsensusStage:
         youngest, age_s = self._leader.youngest(now_s)
         settled = self._settle_term(now_s, in_formation, youngest, flying)
         leaderless, claimed = self._awaited(now_s, youngest is not None, neighbours, flying, fit_to_lead)
-        role, term = leadership.role, leadership.term
+        has_place = vehicle.position_time_s > -inf or not vehicle.armed
+        role, term = leadership.role if has_place else FOLLOWER, leadership.term
         followed = _followed(ids, neighbours, role is LEADER) if in_formation else ids
         states = self._states(now_s, [fresh[i] for i in followed], term)
         heading = self._received_heading(role, in_formation, youngest, age_s)
         beacon, beacon_age_s, reference_s = self._beacon(now_s, role, in_formation, youngest, age_s)
-        prc = next_prc(role is LEADER, [prc for prc, _ in states], self._n)
         return Consensus(
-            prc=prc,
+            prc=next_prc(role is LEADER, [prc for prc, _ in states], self._n),
             lead=LeadView(
                 role=role,
                 term=term,

@@ -17,6 +17,7 @@ from companion.types.autopilot import (
     AutopilotRequest,
     EstimatorSample,
     GlobalPositionSample,
+    GroundSample,
     HeartbeatSample,
     HomeSample,
     LandedSample,
@@ -59,14 +60,15 @@ RALLY_POINTS = "rally points are stored in the autopilot, and it returns to the 
 EVENT_PERIOD_S = 1.0  # repeated jumps are reported no more often
 LATE_PERIOD_S = 5.0  # so are late positions
 FAILSAFE_STAYS_S = 5.0  # HEARTBEAT comes once a second, a text once
+MUST_LAND = "the height of its take-off is unknown: no position until it has landed; its pilot or `land` must land it"
 
 
 class VehicleTracker:
     """Newest state of the own vehicle.
 
     With a geodetic fleet origin there is no position until the autopilot's own origin is known. With `height_from_takeoff`, z
-    is the height above the point where the vehicle was last disarmed on the ground; a vehicle first seen in flight has no
-    position.
+    is the height above the point where the vehicle was last disarmed on the ground; a vehicle first seen in flight has a
+    position only where a GroundSample of this flight comes with the first telemetry.
     """
 
     def __init__(
@@ -80,6 +82,7 @@ class VehicleTracker:
         self._velocity_correction = velocity_correction
         self._ground_up_m: float | None = None if height_from_takeoff else 0.0
         self._follows_ground = height_from_takeoff
+        self._kept: GroundSample | None = None  # from before this agent, until it is believed or not
         self._position: PositionSample | None = None
         self._accuracy = PositionAccuracy(uses_gps=fleet_origin is not None)
         self._failsafe_text = ""  # as reported last
@@ -105,7 +108,16 @@ class VehicleTracker:
             EstimatorSample: self._fold_error,
             SystemSample: self._fold_system,
             TextSample: self._fold_text,
+            GroundSample: self._fold_ground,
         }
+
+    @property
+    def takeoff(self) -> GroundSample | None:
+        """What an agent that starts again in this flight needs; None on the ground, and where it needs nothing."""
+        position, ground_up_m = self._position, self._ground_up_m
+        if not self._follows_ground or position is None or ground_up_m is None or not self.state.armed:
+            return None
+        return GroundSample(position.received_s, ground_up_m, _booted_s(position), 0.0)
 
     def step(
         self, now_s: float, telemetry: Iterable[Telemetry], before: Flight, returns_elsewhere: str = ""
@@ -164,8 +176,8 @@ class VehicleTracker:
         if offset_m is None:
             return
         east, north, up = sample.position_local_enu_m
-        if self._follows_ground and self._on_ground():
-            self._ground_up_m = up + offset_m[2]
+        if self._follows_ground and (self._ground_up_m is None or not self._fields["armed"]):
+            self._follow_ground(sample, up + offset_m[2])
         own_altitude_m = self._frame.own_altitude_amsl_m
         self._fields["frame_known"] = self._ground_up_m is not None
         self._fields["altitude_amsl_m"] = None if own_altitude_m is None else own_altitude_m + up
@@ -200,6 +212,29 @@ class VehicleTracker:
             LandedState.ON_GROUND,
         )
 
+    def _follow_ground(self, sample: PositionSample, up_m: float) -> None:
+        """The height that z counts from: of the ground below a disarmed vehicle, else as kept from its take-off."""
+        fields = self._fields
+        if "heartbeat_time_s" not in fields:
+            return
+        if self._on_ground():
+            self._ground_up_m, self._kept = up_m, None
+        elif (kept := self._kept) is not None:
+            self._kept = None
+            if abs(_booted_s(sample) - kept.booted_s) <= kept.within_s:
+                self._ground_up_m = kept.ground_up_m
+                text = (
+                    f"started again in the air: z counts from its take-off, {kept.ground_up_m:.1f} m above the origin"
+                )
+                self._events.append(Notice(Code.GROUND_KEPT, text))
+        unknown = self._ground_up_m is None and fields["armed"] and fields.get("landed") is not LandedState.ON_GROUND
+        if unknown and not fields.get("ground_unknown"):
+            self._events.append(Notice(Code.GROUND_UNKNOWN, MUST_LAND))
+        fields["ground_unknown"] = unknown
+
+    def _fold_ground(self, sample: GroundSample) -> None:
+        self._kept = sample
+
     def _frame_known(self) -> bool:
         return self._frame.offset_enu_m is not None and self._ground_up_m is not None
 
@@ -212,7 +247,7 @@ class VehicleTracker:
         if self._velocity_correction is not None:
             self._velocity_correction.restart()
         if self._follows_ground:
-            self._ground_up_m = None
+            self._ground_up_m = self._kept = None
         self._fields.update(altitude_amsl_m=None, frame_known=self._frame_known(), frame_contradicted=False)
         if not self._frame_known():
             self._fields.pop("position_time_s", None)
@@ -229,6 +264,8 @@ class VehicleTracker:
             heartbeat_time_s=sample.received_s,
             interleaves=sample.interleaves,
         )
+        if not sample.armed:
+            self._kept = None  # that flight is over
         if sample.critical:
             self._report_failsafe(sample.received_s, "")
         elif not self._failsafe_text:
@@ -310,6 +347,11 @@ class VehicleTracker:
         self._healthy_by_system = sample.estimator_healthy
         self._fields["battery_percent"] = sample.battery_percent
         self._fields["estimator_healthy"] = sample.estimator_healthy and self._healthy_by_status
+
+
+def _booted_s(sample: PositionSample) -> float:
+    """When the autopilot started, by the clock of the sample's arrival."""
+    return sample.received_s - sample.late_s - sample.boot_time_s
 
 
 def _within(vector: Vector3, limit: float) -> bool:

@@ -87,6 +87,7 @@ FAILSAFES: tuple[Failsafe, ...] = (
     # PX4 sends a new mode at once and an unchanged one twice a second, measured up to 0.53 s apart.
     Failsafe(C.MODE_STALE, "mode {} s old", (STOP,), "a fresh flight mode", limit=0.8),
     Failsafe(C.FRAME_UNKNOWN, "at once", (STOP,), "GPS_GLOBAL_ORIGIN, or the ground altitude"),
+    Failsafe(C.GROUND_UNKNOWN, "at once, in the air", (STOP,), "a landing, and disarmed"),
     # PX4 sends HEARTBEAT once a second, whatever is asked: three in a row are lost.
     Failsafe(C.ARMED_STALE, "HEARTBEAT {} s old", (HOLD,), "a fresh HEARTBEAT", limit=3.0),
     Failsafe(C.LANDED_STALE, "landed state {} s old", (HOLD,), "a fresh EXTENDED_SYS_STATE", limit=3.0),
@@ -223,6 +224,7 @@ POSITION_WRONG = frozenset({HealthFlag.FRAME_CONTRADICTED, HealthFlag.POSITION_J
 POSITION_IN_DOUBT = POSITION_WRONG | {
     HealthFlag.POSITION_STALE,
     HealthFlag.FRAME_UNKNOWN,
+    HealthFlag.GROUND_UNKNOWN,
     HealthFlag.POSITION_UNAIDED,
 }
 # A vehicle does not brake by a velocity that may be wrong.
@@ -258,7 +260,9 @@ def health_flags(now_s: float, vehicle: VehicleState, limits: HealthLimits) -> s
         flags.add(F.ARMED_STALE)
     if now_s - vehicle.landed_time_s > LANDED_S:
         flags.add(F.LANDED_STALE)
-    if not vehicle.frame_known:
+    if vehicle.ground_unknown:
+        flags.add(F.GROUND_UNKNOWN)
+    elif not vehicle.frame_known:
         flags.add(F.FRAME_UNKNOWN)
     if vehicle.frame_contradicted:
         flags.add(F.FRAME_CONTRADICTED)

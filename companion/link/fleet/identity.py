@@ -12,10 +12,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from companion.config.atomic import write_file
 from companion.config.file import ConfigError, read_regular
 from companion.config.vehicle import AgentConfig
 from companion.security.admission import MAX_LIST_BYTES, AdmissionError, accept
-from companion.security.identity import ADMITTED_FILE, Identity, IdentityError, load_identity, read_admitted, write_file
+from companion.security.identity import ADMITTED_FILE, Identity, IdentityError, load_identity, read_admitted
 from companion.security.names import ParticipantRole
 
 if TYPE_CHECKING:

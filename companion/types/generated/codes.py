@@ -12,6 +12,7 @@ class Code(StrEnum):
     ATTITUDE_STALE = "ATTITUDE_STALE"
     MODE_STALE = "MODE_STALE"
     FRAME_UNKNOWN = "FRAME_UNKNOWN"
+    GROUND_UNKNOWN = "GROUND_UNKNOWN"
     ARMED_STALE = "ARMED_STALE"
     LANDED_STALE = "LANDED_STALE"
     LEADER_AWAITED = "LEADER_AWAITED"
@@ -220,6 +221,7 @@ class Code(StrEnum):
     BETTER_LEADER = "BETTER_LEADER"
     ERRORS_GROW = "ERRORS_GROW"
     LOOP_LATE = "LOOP_LATE"
+    GROUND_KEPT = "GROUND_KEPT"
     COMMANDS_SLOW = "COMMANDS_SLOW"
     AGENT_RESTARTED = "AGENT_RESTARTED"
     RECORDING_GAP = "RECORDING_GAP"
@@ -240,6 +242,7 @@ class Code(StrEnum):
 class HealthFlag(StrEnum):
     """Present faults, causes before what they cause. `core/safety/failsafe.py` has the actions."""
 
+    GROUND_UNKNOWN = "GROUND_UNKNOWN"
     FRAME_UNKNOWN = "FRAME_UNKNOWN"
     POSITION_STALE = "POSITION_STALE"
     ATTITUDE_STALE = "ATTITUDE_STALE"
@@ -270,6 +273,7 @@ TEXTS: dict[str, str] = {
     "ATTITUDE_STALE": "attitude older than allowed",
     "MODE_STALE": "flight mode older than allowed",
     "FRAME_UNKNOWN": "the autopilot's origin is unknown",
+    "GROUND_UNKNOWN": "it must land: the height of its take-off is unknown, and so is its position",
     "ARMED_STALE": "armed state older than allowed",
     "LANDED_STALE": "landed state older than allowed",
     "LEADER_AWAITED": "no fresh leader beacon for a moment; followers hold formation",

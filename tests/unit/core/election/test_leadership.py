@@ -138,7 +138,7 @@ def test_a_vehicle_whose_epoch_a_command_lowers_does_not_return_to_it_by_its_pee
         ]
         around = fleet.vehicles[1].step(
             fleet.now_s,
-            VehicleState(armed=True),
+            VehicleState(armed=True, position_time_s=fleet.now_s),
             Flight(FlightPhase.FORMATION, in_formation=True),
             [ReceivedPeerPacket(fleet.now_s, packet) for packet in packets],
             [] if tick else [command],
@@ -447,7 +447,7 @@ def test_a_beacon_of_a_huge_epoch_claims_nothing() -> None:
     )
     around = fleet.vehicles[1].step(
         fleet.now_s,
-        VehicleState(armed=True),
+        VehicleState(armed=True, position_time_s=fleet.now_s),
         Flight(FlightPhase.FORMATION, in_formation=True),
         [ReceivedPeerPacket(fleet.now_s, forged)],
     )

@@ -54,6 +54,7 @@ IN_FORMATION: dict[HealthFlag, dict[str, float]] = {
     F.ATTITUDE_STALE: {"stop": 0.0},
     F.MODE_STALE: {"stop": 0.0},
     F.FRAME_UNKNOWN: {"stop": 0.0},
+    F.GROUND_UNKNOWN: {"stop": 0.0},
     F.ARMED_STALE: {"hold": 0.0},
     F.LANDED_STALE: {"hold": 0.0},
     F.LEADER_AWAITED: {"warn": 0.0},
@@ -87,7 +88,7 @@ IN_A_COMMANDED_HOLD: dict[HealthFlag, dict[str, float]] = {
     F.BATTERY_CRITICAL: {"land": 3.0},
     F.POSITION_UNAIDED: {"land": 1.0},
 }
-STOPS = (F.POSITION_STALE, F.ATTITUDE_STALE, F.MODE_STALE, F.FRAME_UNKNOWN)
+STOPS = (F.POSITION_STALE, F.ATTITUDE_STALE, F.MODE_STALE, F.FRAME_UNKNOWN, F.GROUND_UNKNOWN)
 LATCHED = (F.BATTERY_LOW, F.BATTERY_CRITICAL, F.FAILSAFE_ACTIVE)  # a recovered voltage says nothing
 LATE_FOR_S = 1.0  # TICK_LATE clears so long after the last late tick
 NOT_FLOWN_BY_THE_AGENT = sorted(set(P) - STREAMING - {P.HOLD, P.RELEASE})
@@ -167,6 +168,7 @@ class Vehicle:
             landed_time_s=now_s - age[F.LANDED_STALE],
             home_enu_m=self.home_enu_m,
             frame_known=F.FRAME_UNKNOWN not in raised,
+            ground_unknown=F.GROUND_UNKNOWN in raised,
             frame_contradicted=F.FRAME_CONTRADICTED in raised,
             held_back_m=6.0 if F.POSITION_JUMPED in raised else 0.0,
             jump_time_s=0.0 if F.POSITION_JUMPED in raised else -inf,

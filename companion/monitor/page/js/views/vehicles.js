@@ -45,7 +45,7 @@ function rows(vehicle, store, sinceS, act) {
       <td class="mode">${vehicle.mode}${vehicle.armed ? nothing : html`<span class="quiet"> disarmed</span>`}</td>
       <td class="n battery ${vehicle.battery_percent < LOW_BATTERY_PERCENT && vehicle.battery_percent !== null ? "warning" : ""}"
         >${number(vehicle.battery_percent, 0)}</td>
-      <td class="n">${number(vehicle.data_age_s > OLD_DATA_S && !vehicle.silent ? null : vehicle.position_enu_m[2], 1)}</td>
+      <td class="n">${number(vehicle.data_age_s > OLD_DATA_S && !vehicle.silent ? null : vehicle.position_enu_m?.[2], 1)}</td>
       <td class="n">${number(vehicle.error_to_slot_m, 2)}</td>
       <td class="n ${nearness(vehicle.nearest)}">${number(vehicle.nearest?.distance_m, 2)}</td>
       <td class="n ${vehicle.silent ? "critical" : vehicle.data_age_s > OLD_DATA_S ? "warning" : ""}"
