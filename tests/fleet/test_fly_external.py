@@ -164,6 +164,7 @@ def test_a_mixed_pair_flies_and_its_autopilots_keep_running(
     assert not list((tmp_path / "out").glob("truth_*")) and not list((tmp_path / "out").glob("autopilot*"))
 
 
+@pytest.mark.long
 def test_ctrl_c_in_formation_lands_both_and_keeps_their_autopilots(
     tmp_path: Path, offset: int, autopilots: list[subprocess.Popen[bytes]]
 ) -> None:

@@ -31,7 +31,11 @@ def shuffled_starts(seed: int) -> dict[int, Vector3]:
 
 
 @pytest.mark.parametrize(
-    "overrides", [(), ("stand_in.sensors=default", "links.peer_delay_s=0.1", "links.peer_loss=0.1")]
+    "overrides",
+    [
+        pytest.param((), marks=pytest.mark.long),
+        ("stand_in.sensors=default", "links.peer_delay_s=0.1", "links.peer_loss=0.1"),
+    ],
 )
 def test_a_fleet_60_m_from_its_reference_enters_at_the_joining_speed(
     tmp_path: Path, overrides: tuple[str, ...]

@@ -43,7 +43,10 @@ def accepted(reference: Reference, text: str) -> Reference:
     return replace(reference, max_acceleration_m_s2=float(found[1]), max_speed_m_s=float(found[2]))
 
 
-@pytest.mark.parametrize("reference", [CIRCLE, BACK_AND_FORTH], ids=["circle", "waypoints"])
+@pytest.mark.parametrize(
+    "reference",
+    [pytest.param(CIRCLE, id="circle", marks=pytest.mark.long), pytest.param(BACK_AND_FORTH, id="waypoints")],
+)
 def test_a_refused_reference_compresses_the_formation_and_the_named_pace_does_not(
     reference: Reference, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -60,7 +60,7 @@ def test_vehicles_keep_the_separation_with_noise() -> None:
     assert smallest_m(flight.tracks(), steady_times_s(flight)) > 1.0
 
 
-@pytest.mark.parametrize(("overrides", "most_m"), [((IDEAL,), 0.3), ((), 0.5)])
+@pytest.mark.parametrize(("overrides", "most_m"), [((IDEAL,), 0.3), pytest.param((), 0.5, marks=pytest.mark.long)])
 def test_vehicles_stay_near_their_moving_slots(overrides: tuple[str, ...], most_m: float) -> None:
     flight = flown(*overrides)
     assert flight.watch.formation is not None

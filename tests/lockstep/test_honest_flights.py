@@ -15,7 +15,7 @@ LATE = ("links.peer_loss=0.2", "links.peer_jitter_s=0.15", "links.telemetry_dela
 FAST = ("reference.period_s=16", "fleet.law={name: cooperative}")
 
 
-@pytest.mark.parametrize("sensors", ["default", "px4_sih"])
+@pytest.mark.parametrize("sensors", [pytest.param("default", marks=pytest.mark.long), "px4_sih"])
 @pytest.mark.parametrize("links", [LOSSES, LATE])
 @pytest.mark.parametrize(("scenario", "overrides"), [(FIGURE_8, FAST), (EXCHANGE, ())])
 def test_no_honest_vehicle_is_in_doubt(scenario, overrides, links, sensors) -> None:  # type: ignore[no-untyped-def]

@@ -152,7 +152,7 @@ def test_a_leader_that_is_not_received_becomes_a_follower_at_once() -> None:
 
 
 @LAWS
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_random_churn_violates_no_separation(law: str, seed: int) -> None:
     """Links flap, and vehicles leave and join, at random times."""
     random = Random(seed)

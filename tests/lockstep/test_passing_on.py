@@ -21,7 +21,9 @@ def wider(flight: CommandedFlight) -> FormationChange:
     return change_to(WIDER, list(flight.newest.values()), 1.0)
 
 
-@pytest.mark.parametrize("overrides", [(), ("links.peer_loss=0.1", "links.peer_delay_s=0.05")])
+@pytest.mark.parametrize(
+    "overrides", [pytest.param((), marks=pytest.mark.long), ("links.peer_loss=0.1", "links.peer_delay_s=0.05")]
+)
 def test_all_vehicles_fly_a_formation_commanded_to_the_leader_only(overrides: tuple[str, ...]) -> None:
     flight = CommandedFlight(SCENARIO, *overrides)
     flight.give(CommandName.FORMATION, 1, content=wider(flight))

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from common import ROOT
-from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from lockstep_fleet import CommandedFlight
@@ -63,7 +62,7 @@ def flown(tmp_path: Path, make: str, way: tuple[float, float], **last_step: floa
     return fly_in_virtual_time(scenario, FlightProgress("test", True, 0.0))
 
 
-@pytest.mark.parametrize("make", sorted(AutopilotKind))
+@pytest.mark.parametrize("make", ["px4", pytest.param("ardupilot", marks=pytest.mark.long)])
 def test_all_vehicles_return_at_once_and_land_at_their_starts(tmp_path: Path, make: str) -> None:
     flight = flown(tmp_path, make, NORTH)
     assert flight.failure is None
@@ -112,7 +111,7 @@ def phases_of(flight: CommandedFlight, *ids: int) -> dict[int, FlightPhase]:
     return {i: flight.newest[i].phase for i in ids}
 
 
-@pytest.mark.parametrize("make", sorted(AutopilotKind))
+@pytest.mark.parametrize("make", ["px4", pytest.param("ardupilot", marks=pytest.mark.long)])
 def test_a_leader_that_returns_alone_is_replaced_and_the_others_fly_past_it(make: str) -> None:
     """With PX4 they come back over its start while it lands there, and stop before it."""
     flight = returned_alone(make, 1)

@@ -86,7 +86,9 @@ def test_the_formation_points_along_the_figure_8() -> None:
     assert np.ptp(flight.headings_rad()) > np.pi  # it did turn
 
 
-@pytest.mark.parametrize(("late", "most_m", "nearest_m"), [((), 0.12, 1.9), (LATE, 0.7, 1.6)])
+@pytest.mark.parametrize(
+    ("late", "most_m", "nearest_m"), [((), 0.12, 1.9), pytest.param(LATE, 0.7, 1.6, marks=pytest.mark.long)]
+)
 def test_slots_are_kept_while_turning_with_five_leader_changes(
     late: tuple[str, ...], most_m: float, nearest_m: float
 ) -> None:

@@ -149,17 +149,20 @@ def step_of(rows: list[Row], changed: int) -> tuple[float, float]:
     return degrees(tilt_rad), thrust
 
 
+ASSUMED = pytest.mark.parametrize("assumed", [LOW, pytest.param(HIGH, marks=pytest.mark.long)])
+
+
 # ---------------------------------------------------------------- what the formation keeps
 
 
-@pytest.mark.parametrize("assumed", [LOW, HIGH])
+@ASSUMED
 def test_the_formation_keeps_its_slots_in_gusts(assumed: float) -> None:
     errors = flown("platoon_wind", assuming(assumed), "timeline[3].for_s=30").errors_m(from_s=5.0)
     assert np.sqrt(np.mean(errors**2, axis=1)).max() < 0.15
     assert errors.max() < 0.4
 
 
-@pytest.mark.parametrize("assumed", [LOW, HIGH])
+@ASSUMED
 def test_steady_wind_leaves_no_error(assumed: float) -> None:
     assert windy(assumed, CALM).errors_m(from_s=10.0).max() < 0.01
 
@@ -178,7 +181,7 @@ def test_wind_displaces_the_formation_without_the_observer() -> None:
     assert windy(LOW, CALM, OFF).errors_m(from_s=10.0).max() > 1.5
 
 
-@pytest.mark.parametrize("assumed", [LOW, HIGH])
+@ASSUMED
 def test_the_status_reports_hover_thrust_and_wind(assumed: float) -> None:
     status = windy(assumed, CALM).watch.received[-1]
     assert status.control.hover_thrust_norm == pytest.approx(TRUE_HOVER, rel=0.01)
@@ -188,7 +191,7 @@ def test_the_status_reports_hover_thrust_and_wind(assumed: float) -> None:
 # ---------------------------------------------------------------- hand-overs
 
 
-@pytest.mark.parametrize("assumed", [LOW, HIGH])
+@ASSUMED
 def test_hand_overs_have_no_step(assumed: float) -> None:
     flight = windy(assumed, CALM)
     for before, after in (INTO_FORMATION, OUT_OF_FORMATION):
@@ -197,7 +200,7 @@ def test_hand_overs_have_no_step(assumed: float) -> None:
             assert thrust < 0.05
 
 
-@pytest.mark.parametrize("assumed", [LOW, HIGH])
+@ASSUMED
 def test_entering_formation_in_gusts_has_no_step(assumed: float) -> None:
     """The agent also leaves formation smoothly; but a hold that starts with a moving vehicle brakes at its own limit."""
     for tilt_deg, thrust in windy(assumed).steps(*INTO_FORMATION):
@@ -205,7 +208,7 @@ def test_entering_formation_in_gusts_has_no_step(assumed: float) -> None:
         assert thrust < 0.05
 
 
-@pytest.mark.parametrize("assumed", [LOW, HIGH])
+@ASSUMED
 def test_hand_overs_lose_no_altitude(assumed: float) -> None:
     for rows, changed in windy(assumed).changes(*INTO_FORMATION):
         altitude_m = rows[changed].altitude_m
