@@ -5,13 +5,13 @@ A change has a number, and begins in all vehicles at once: AHEAD_S after the fle
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import radians
+from math import dist, hypot, radians
 from pathlib import Path
-
-from msgspec.structs import replace
+from types import MappingProxyType
 
 from companion.config.file import ConfigError, convert
 from companion.config.fleet import FleetConfig
@@ -29,10 +29,13 @@ from companion.geometry.formations import (
     to_separation_metric,
 )
 from companion.types.commands import Described, ReferenceChange, next_for_all
-from companion.types.flight import FlightPhase
+from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FormationChange
 from companion.types.status import Status
-from companion.types.values import MAX_COORDINATE_M, MAX_MISSION_S, MIN_CHANGE_S, ZERO3, Vector3
+from companion.types.values import MIN_CHANGE_S, Vector3
+
+NO_REACH: Mapping[int, float] = MappingProxyType({})
+BEHIND = 1.5  # in separation_m: how far behind the formation the slot of a vehicle is whose own is not known
 
 
 def command_line(action: str) -> Path:
@@ -91,8 +94,16 @@ def reference_change(reference: Described, statuses: Sequence[Status]) -> Refere
 
 def resolve_reference_now(request: ReferenceRequest, statuses: Collection[Status]) -> Reference:
     """The reference of a request to a fleet with these reports. Raises ConfigError."""
-    flown = [status.formation.reference_enu_m for status in statuses if status.formation.reference_enu_m]
-    return resolve_reference(request, here_enu_m=flown[0] if flown else None)
+    return resolve_reference(request, here_enu_m=flown_reference_enu_m(statuses))
+
+
+def flown_reference_enu_m(statuses: Collection[Status]) -> Vector3 | None:
+    """The reference of the leader that most vehicles follow; None where no vehicle reports one."""
+    beacons = [status.leadership.leader_beacon for status in statuses]
+    followed = Counter(beacon.leader_id for beacon in beacons if beacon)
+    reports = [status for status in statuses if status.formation.reference_enu_m]
+    reports.sort(key=lambda status: (-followed[status.agent.vehicle_id], status.leadership.role is not Role.LEADER))
+    return reports[0].formation.reference_enu_m if reports else None
 
 
 def resolve_reference(request: ReferenceRequest, here_enu_m: Vector3 | None) -> Reference:
@@ -153,11 +164,13 @@ def check_request(request: FormationRequest, fleet: FleetConfig) -> None:
         )
 
 
-def resolve_slots(request: FormationRequest, statuses: Sequence[Status], fleet: FleetConfig) -> dict[int, Vector3]:
+def resolve_slots(
+    request: FormationRequest, statuses: Sequence[Status], fleet: FleetConfig, unsure: Collection[int] = ()
+) -> dict[int, Vector3]:
     """The slot of each vehicle of the fleet: as in the file, the flown one, or assigned for a shape. Raises ConfigError.
 
     A shape has a slot for a vehicle without a status or a position, too: one that is left over. Of a vehicle without a status
-    the slot in the fleet file counts as flown.
+    the slot in the fleet file counts as flown; it and the `unsure` vehicles go behind the others where they would be too near.
     """
     ids = sorted({member.id for member in fleet.vehicles} | {status.agent.vehicle_id for status in statuses})
     if request.shape and request.spacing_m is not None:
@@ -165,9 +178,33 @@ def resolve_slots(request: FormationRequest, statuses: Sequence[Status], fleet: 
         assigned = assign_slots(positions_enu_m(statuses), slots)
         free = [slot for slot in slots if slot not in assigned.values()]
         return assigned | dict(zip((i for i in ids if i not in assigned), free, strict=True))
-    flown_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles} | flown_slots_enu_m(statuses)
-    slots_enu_m = load_slots(request.slots_file, fleet) if request.slots_file else request.slots_enu_m or flown_enu_m
-    return {i: rotated(slot, radians(request.heading_deg), request.scale) for i, slot in slots_enu_m.items()}
+    reported_enu_m, given = flown_slots_enu_m(statuses), request.slots_enu_m
+    flown_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles} | reported_enu_m
+    slots_enu_m = load_slots(request.slots_file, fleet) if request.slots_file else given or flown_enu_m
+    turned = {i: rotated(slot, radians(request.heading_deg), request.scale) for i, slot in slots_enu_m.items()}
+    if request.slots_file or given:
+        return turned
+    result = {i: slot for i, slot in turned.items() if i in reported_enu_m and i not in unsure}
+    for i in sorted(turned.keys() - result.keys()):
+        result[i] = free_slot(turned[i], list(result.values()), fleet)
+    return result
+
+
+def is_free(slot: Vector3, taken: Collection[Vector3], fleet: FleetConfig) -> bool:
+    """Whether a slot keeps `separation_m` from these."""
+    has_height = fleet.law.altitude == "formation"
+    place = to_separation_metric(slot, has_height)
+    return all(
+        dist(place, to_separation_metric(other, has_height)) >= fleet.separation_m - ROUNDING_M for other in taken
+    )
+
+
+def free_slot(own: Vector3 | None, taken: Collection[Vector3], fleet: FleetConfig) -> Vector3:
+    """That of the fleet file, or a place behind the others where it is not free."""
+    if own and is_free(own, taken, fleet):
+        return own
+    x, y, z = min(taken, default=(0.0, 0.0, 0.0))
+    return x - BEHIND * fleet.separation_m, y, z
 
 
 def flown_slots_enu_m(statuses: Iterable[Status]) -> dict[int, Vector3]:
@@ -218,9 +255,19 @@ def refusal_of(slots_enu_m: Mapping[int, Vector3], separation_m: float, has_heig
     )
 
 
-def change_to(slots_enu_m: Mapping[int, Vector3], statuses: Sequence[Status], slot_speed_m_s: float) -> FormationChange:
-    """The change for all vehicles, with the next number, AHEAD_S after their fleet time. Those without a status are absent."""
+def change_to(
+    slots_enu_m: Mapping[int, Vector3],
+    statuses: Sequence[Status],
+    slot_speed_m_s: float,
+    reach_m: Mapping[int, float] = NO_REACH,
+) -> FormationChange:
+    """The change for all vehicles, with the next number, AHEAD_S after their fleet time. Those without a status are absent.
+
+    `reach_m`: of vehicles whose slot others know better than these reports, how far from the reference it may be. The change
+    lasts long enough for their paths; the others would refuse a shorter one as too fast.
+    """
     path_m = longest_path_m(flown_slots_enu_m(statuses), slots_enu_m)
+    path_m = max([path_m, *(hypot(*slots_enu_m[i]) + most_m for i, most_m in reach_m.items() if i in slots_enu_m)])
     lasts_s = duration_s(path_m, slot_speed_m_s, SLOT_ACCELERATION_M_S2)
     slots = [status.formation.slot for status in statuses]
     return FormationChange(
@@ -242,34 +289,13 @@ def fleet_time_s(statuses: Iterable[Status]) -> float:
     """Time along the RFT by these reports, seconds; it does not advance while no leader is in formation.
 
     The largest one of those in formation, else of all. Where two agree, one that stands alone above them is not believed: no
-    vehicle would accept a change that begins then.
+    vehicle would accept a change that begins then. Where no two agree, it is that of a leader.
     """
     reports = list(statuses)
     flying = [status for status in reports if status.phase is FlightPhase.FORMATION] or reports
     times_s = sorted((s.formation.reference_s for s in flying if s.formation.reference_s > 0.0), reverse=True)
+    led_s = [
+        s.formation.reference_s for s in flying if s.leadership.role is Role.LEADER and s.formation.reference_s > 0.0
+    ]
     agreed_s = (later for later, earlier in pairwise(times_s) if later - earlier <= TIMES_AGREE_S)
-    return next(agreed_s, max(times_s, default=0.0))
-
-
-def believed(statuses: Iterable[Status], fleet: FleetConfig) -> list[Status]:
-    """The reports, where one with a place or time that no vehicle can have counts as of a vehicle in its configured slot.
-
-    So it does not prevent the command, whose numbers it would make senseless: the squares of 1e300 m overflow. Its vehicle gets
-    the command like the others, and decides by what it knows itself.
-    """
-    slots_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles}
-    return [status if _is_possible(status) else _in_slot(status, slots_enu_m) for status in statuses]
-
-
-def _is_possible(status: Status) -> bool:
-    """Within the bounds of what peers read of each other."""
-    flown = status.formation
-    places = (status.motion.position_enu_m, flown.slot.position_enu_m, flown.reference_enu_m or ZERO3)
-    near = all(abs(component) <= MAX_COORDINATE_M for place in places for component in place)
-    return near and 0.0 <= flown.reference_s <= MAX_MISSION_S - AHEAD_S
-
-
-def _in_slot(status: Status, slots_enu_m: Mapping[int, Vector3]) -> Status:
-    flown, slot = status.formation, slots_enu_m.get(status.agent.vehicle_id, ZERO3)
-    formation = replace(flown, slot=replace(flown.slot, position_enu_m=slot), reference_enu_m=None, reference_s=0.0)
-    return replace(status, motion=replace(status.motion, position_enu_m=slot), formation=formation)
+    return next(agreed_s, max(led_s or times_s, default=0.0))

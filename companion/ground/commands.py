@@ -16,11 +16,11 @@ from companion import GROUND_INSTALL
 from companion.config.fleet import FleetConfig
 from companion.config.reference_check import check_reference
 from companion.ground.answers import AnswerKind, End, Outcome, TimedReply, outcome_of
+from companion.ground.belief import Doubt, believed
 from companion.ground.changes import (
     FleetAction,
     FormationRequest,
     ReferenceRequest,
-    believed,
     change_to,
     check_request,
     command_line,
@@ -124,7 +124,7 @@ def give(
 class Sent:
     """A command with its outcome for each vehicle. `running`: some vehicle was in formation when it was sent.
 
-    `absent` vehicles do not report and got no command.
+    `absent` vehicles do not report and got no command. `doubts`: what vehicles report that cannot be true.
     """
 
     name: CommandName
@@ -132,6 +132,7 @@ class Sent:
     outcomes: dict[int, Outcome]
     running: bool = False
     absent: tuple[int, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
 
 class OperatorCommands:
@@ -199,27 +200,27 @@ class OperatorCommands:
         if not reports:
             raise OperateError(f"no report of any vehicle for {self._wait_s:g} s")
         fleet = self._fleet
-        statuses = believed(reports.values(), fleet)
-        slots_enu_m = resolve_slots(request, statuses, fleet)
+        statuses, doubts, unsure, reach_m = believed(reports.values(), fleet)
+        slots_enu_m = resolve_slots(request, statuses, fleet, unsure)
         if refusal := refusal_of(slots_enu_m, fleet.separation_m, has_height=fleet.law.altitude == "formation"):
             raise OperateError(refusal)
-        change = change_to(slots_enu_m, statuses, fleet.slot_speed_m_s)
+        change = change_to(slots_enu_m, statuses, fleet.slot_speed_m_s, reach_m)
         outcomes = self._give(list(reports), CommandName.FORMATION, change)
-        return Sent(CommandName.FORMATION, change, outcomes, time_runs(statuses), change.absent)
+        return Sent(CommandName.FORMATION, change, outcomes, time_runs(statuses), change.absent, doubts)
 
     def _reference(self, request: ReferenceRequest) -> Sent:
         """Checked with the present slots, as by each vehicle that may lead."""
         reports = self._statuses(self._all)
         if not reports:
             raise OperateError(f"no report of any vehicle for {self._wait_s:g} s")
-        statuses = believed(reports.values(), self._fleet)
+        statuses, doubts, unsure, _ = believed(reports.values(), self._fleet)
         reference = resolve_reference_now(request, statuses)
-        slots_enu_m = flown_slots_enu_m(statuses)
+        slots_enu_m = flown_slots_enu_m([s for s in statuses if s.agent.vehicle_id not in unsure] or statuses)
         check_reference(request.file or command_line("reference"), self._fleet, reference, slots_enu_m=slots_enu_m)
         change = reference_change(msgspec.to_builtins(reference), statuses)
         may_lead = [member.id for member in self._fleet.vehicles if member.can_lead]
         outcomes = self._give(may_lead, CommandName.REFERENCE, change)
-        return Sent(CommandName.REFERENCE, change, outcomes, time_runs(statuses))
+        return Sent(CommandName.REFERENCE, change, outcomes, time_runs(statuses), doubts=doubts)
 
     def _statuses(self, ids: Iterable[int]) -> dict[int, Status]:
         """Status of these vehicles when all have reported, or of those that have in time."""

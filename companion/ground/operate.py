@@ -16,6 +16,7 @@ from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
 from companion.config.vehicle import ground_endpoints
 from companion.ground.answers import AnswerKind, answer_lines, answers_as_data, end_lines, id_list, wrap_text
+from companion.ground.belief import Doubt, doubts_as_data, doubts_of
 from companion.ground.changes import FleetAction
 from companion.ground.commands import OperateError, OperatorCommands, Sent, check_content, statuses_of, wait_for
 from companion.ground.current_fleet import simulation_endpoints, unreachable
@@ -102,7 +103,8 @@ def _report(
     statuses = statuses_of(session.newest, ids, request.wait_s)
     silent = [vehicle_id for vehicle_id in ids if vehicle_id not in statuses]
     if request.action.name == "status":
-        lines, data = status_lines(statuses, silent, request.wait_s), status_as_data(statuses, silent)
+        doubts = doubts_of(statuses.values(), fleet)
+        lines, data = status_lines(statuses, silent, request.wait_s, doubts), status_as_data(statuses, silent, doubts)
         good = not silent
     else:
         checks = readiness_of(statuses, fleet)
@@ -158,7 +160,8 @@ def _command(session: FleetSession, request: FleetRequest, commands: OperatorCom
     missing = any(outcome.kind is AnswerKind.MISSING for outcome in sent.outcomes.values())
     failed_endpoints = unreachable(endpoints, session.linked()) if missing else {}
     if not request.as_json:
-        _print([*answer_lines(sent.outcomes), *_absent_lines(sent.absent), *_endpoint_lines(failed_endpoints)])
+        more_lines = [*_absent_lines(sent.absent), *_doubt_lines(sent.doubts), *_endpoint_lines(failed_endpoints)]
+        _print([*answer_lines(sent.outcomes), *more_lines])
     goal = goal_of(sent.name, sent.content, sent.running) if request.wait else None
     if goal and any(outcome.kind is AnswerKind.ACCEPTED for outcome in sent.outcomes.values()):
         sent = _waited(session, request, sent, goal)
@@ -166,6 +169,7 @@ def _command(session: FleetSession, request: FleetRequest, commands: OperatorCom
     if request.as_json:
         more: dict[str, Any] = {"advice": str(advice)} if advice else {}
         more |= {"absent": list(sent.absent)} if sent.absent else {}
+        more |= {"doubts": doubts_as_data(sent.doubts)} if sent.doubts else {}
         data = answers_as_data(sent.outcomes)
         _print_json(request, data, operator=session.operator, unreachable=failed_endpoints, **more)
     elif advice:
@@ -191,6 +195,10 @@ def _absent_lines(absent: Sequence[int]) -> list[str]:
         return []
     text = f"{id_list(absent)} without a report: counted as absent, no command sent; slots are kept free for them"
     return wrap_text("", text)
+
+
+def _doubt_lines(doubts: Sequence[Doubt]) -> list[str]:
+    return [line for doubt in doubts for line in wrap_text("", str(doubt))]
 
 
 def _endpoint_lines(failed: dict[str, str]) -> list[str]:

@@ -10,6 +10,7 @@ import msgspec
 
 from companion.config.fleet import FleetConfig
 from companion.ground.answers import AnswerKind, wrap_text
+from companion.ground.belief import Doubt, doubts_as_data
 from companion.ground.fleet_state import formation_text, reference_text
 from companion.types.flight import BATTERY_FLAGS, FLAG_TEXTS, HealthFlag, Role
 from companion.types.notices import Code, Notice
@@ -46,7 +47,9 @@ def readiness_as_data(checks: Mapping[int, Sequence[Check]], silent: Sequence[in
     ]
 
 
-def status_lines(statuses: Mapping[int, Status], silent: Sequence[int], wait_s: float) -> list[str]:
+def status_lines(
+    statuses: Mapping[int, Status], silent: Sequence[int], wait_s: float, doubts: Sequence[Doubt] = ()
+) -> list[str]:
     """Two lines or more for each vehicle."""
     lines = []
     for vehicle_id in sorted({*statuses, *silent}):
@@ -54,6 +57,8 @@ def status_lines(statuses: Mapping[int, Status], silent: Sequence[int], wait_s: 
             lines += wrap_text(f"vehicle {vehicle_id:<3} {AnswerKind.MISSING}  ", str(no_report(wait_s)))
         else:
             lines += _status_lines(statuses[vehicle_id])
+            own = [doubt.notice for doubt in doubts if doubt.vehicle_id == vehicle_id]
+            lines += [line for notice in own for line in wrap_text(INDENT, str(notice))]
     return lines
 
 
@@ -82,14 +87,21 @@ def _status_lines(status: Status) -> list[str]:
     ]
 
 
-def status_as_data(statuses: Mapping[int, Status], silent: Sequence[int]) -> list[dict[str, Any]]:
-    """The whole report of each vehicle, with `reported`. A position that is unknown is None, and so is the velocity."""
+def status_as_data(
+    statuses: Mapping[int, Status], silent: Sequence[int], doubts: Sequence[Doubt] = ()
+) -> list[dict[str, Any]]:
+    """The whole report of each vehicle, with `reported`. A position that is unknown is None, and so is the velocity.
+
+    `doubts` has what of it cannot be true.
+    """
     data = {
         i: msgspec.to_builtins(STATUS_FORM.flat(status))
         | ({} if status.motion.is_known else {"position_enu_m": None, "velocity_enu_m_s": None})
         | {"reported": True}
         for i, status in statuses.items()
     }
+    for doubted in doubts_as_data(doubts):
+        data[doubted["vehicle_id"]].setdefault("doubts", []).append(doubted)
     return [data.get(i, {"vehicle_id": i, "reported": False}) for i in sorted({*statuses, *silent})]
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from msgspec.structs import replace
 
+from companion.ground.belief import Doubt
 from companion.monitor.api import AlarmView, Severity, VehicleView
 from companion.monitor.vehicle_view import advice_of
 from companion.types.code_table import SEVERITIES
@@ -185,3 +186,13 @@ def conditions_of(vehicle: VehicleView) -> dict[Key, AlarmCondition]:
         text = "strangers in its network can command it (security: none in the fleet file)"
         found[fleet, None, UNSECURED] = AlarmCondition("info", text, "make identities: companion provision new FOLDER")
     return found
+
+
+def doubt_conditions(fleet: str, doubts: Iterable[Doubt]) -> dict[Key, AlarmCondition]:
+    """What vehicles report that cannot be true, one alarm for each vehicle."""
+    texts: dict[int, str] = {}
+    for doubt in doubts:
+        before = texts.get(doubt.vehicle_id)
+        texts[doubt.vehicle_id] = f"{before}; {doubt.notice.text}" if before else doubt.notice.text
+    code = Code.REPORT_IMPLAUSIBLE
+    return {(fleet, i, code): AlarmCondition("warning", text, advice_of(code)) for i, text in texts.items()}

@@ -19,12 +19,13 @@ from companion.config.reference_check import reference_problems
 from companion.config.values import PositionM
 from companion.geometry.formations import closest_approach, to_separation_metric, turned_slot
 from companion.geometry.vectors import mean, minus, rounded
+from companion.ground.belief import Belief, believed
 from companion.ground.changes import (
     FleetAction,
     FormationRequest,
     ReferenceRequest,
-    believed,
     change_to,
+    flown_reference_enu_m,
     flown_slots_enu_m,
     refusal_of,
     resolve_reference_now,
@@ -183,19 +184,20 @@ def preview_of(wanted: FleetAction, fleet: FleetConfig, statuses: Mapping[int, S
             return Preview(refused="no report of any vehicle")
         return _formation(wanted.formation, fleet, believed(reporting, fleet))
     assert wanted.reference is not None
-    reports = believed(statuses.values(), fleet)
+    reports = believed(statuses.values(), fleet).statuses
     return _reference(resolve_reference_now(wanted.reference, reports), fleet, reports)
 
 
-def _formation(request: FormationRequest, fleet: FleetConfig, statuses: Sequence[Status]) -> Preview:
+def _formation(request: FormationRequest, fleet: FleetConfig, belief: Belief) -> Preview:
+    statuses = belief.statuses
     has_height = fleet.law.altitude == "formation"
-    slots_enu_m = resolve_slots(request, statuses, fleet)
+    slots_enu_m = resolve_slots(request, statuses, fleet, belief.unsure)
     flown_enu_m = flown_slots_enu_m(statuses)
     closest_m, _, _ = closest_approach(
         {i: to_separation_metric(slot, has_height) for i, slot in flown_enu_m.items()},
         {i: to_separation_metric(slots_enu_m[i], has_height) for i in flown_enu_m},
     )
-    change = change_to(slots_enu_m, statuses, fleet.slot_speed_m_s)
+    change = change_to(slots_enu_m, statuses, fleet.slot_speed_m_s, belief.reach_m)
     reference_enu_m = _reference_enu_m(statuses)
     return Preview(
         paths=tuple(
@@ -216,9 +218,8 @@ def _formation(request: FormationRequest, fleet: FleetConfig, statuses: Sequence
 
 def _reference_enu_m(statuses: Sequence[Status]) -> Vector3 | None:
     """That of a leader; before there is one, the mean position of the vehicles less their slots. None without positions."""
-    for status in statuses:
-        if status.formation.reference_enu_m:
-            return status.formation.reference_enu_m
+    if flown_enu_m := flown_reference_enu_m(statuses):
+        return flown_enu_m
     placed = [status for status in statuses if status.motion.is_known]
     slots = [turned_slot(status.formation.slot, status.formation.heading).position_enu_m for status in placed]
     return (

@@ -138,7 +138,8 @@ class Commander:
         except EndedError as error:
             return CommandResult(wanted.name, _views(session.outcomes()), error=str(error))
         advice = advise_divided_fleet(sent.name, sent.outcomes)
-        return CommandResult(wanted.name, _views(sent.outcomes), str(advice) if advice else "")
+        texts = [*map(str, sent.doubts), *([str(advice)] if advice else [])]
+        return CommandResult(wanted.name, _views(sent.outcomes), "; ".join(texts))
 
     def _doctor(self, ids: list[int]) -> CommandResult:
         """The checks before flight; no command is sent."""

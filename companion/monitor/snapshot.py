@@ -8,6 +8,7 @@ from itertools import groupby
 from math import inf
 
 from companion.config.fleet import EdgeNeighbours, FleetConfig, RangeNeighbours
+from companion.ground.belief import doubts_of
 from companion.ground.fleet_state import FleetState, ReportedVehicle, VehicleKey, fold, vehicles_at
 from companion.monitor.alarms import (
     MISSING,
@@ -18,6 +19,7 @@ from companion.monitor.alarms import (
     Delay,
     Key,
     conditions_of,
+    doubt_conditions,
 )
 from companion.monitor.api import (
     AlarmView,
@@ -173,6 +175,8 @@ class Picture:
             status = self._state.vehicles[vehicle.fleet, vehicle.vehicle_id].report.status
             if own_hash is not None and status.agent.formation_hash != own_hash:
                 conditions[vehicle.fleet, vehicle.vehicle_id, Code.FLEET_FILE_DIFFERS] = OTHER_FILE
+        for name in {vehicle.fleet for vehicle in vehicles if not vehicle.silent} & self._files.keys():
+            conditions |= self._doubted(name, vehicles)
         conditions = self._delay.lasting(now_s, conditions)
         for fleet in fleets:
             if now_s - self._first_s.setdefault(fleet.name, now_s) >= HEARD_WITHIN_S:
@@ -182,6 +186,12 @@ class Picture:
             self._alarm_event(time_s, alarm, alarm.text)
         for alarm in changes.ended:
             self._alarm_event(time_s, alarm, f"ended after {time_s - alarm.since_s:.1f} s: {alarm.text}")
+
+    def _doubted(self, name: str, vehicles: Sequence[VehicleView]) -> dict[Key, AlarmCondition]:
+        """What the vehicles of a fleet that report now cannot mean."""
+        heard = [v.vehicle_id for v in vehicles if v.fleet == name and not v.silent]
+        statuses = [self._state.vehicles[name, i].report.status for i in heard]
+        return doubt_conditions(name, doubts_of(statuses, self._files[name]))
 
     def _alarm_event(self, time_s: float, alarm: AlarmView, text: str) -> None:
         self.events.add(time_s, alarm.fleet, alarm.vehicle_id, "alarm", alarm.code, text)

@@ -5,6 +5,7 @@ from math import pi
 import pytest
 
 from common import with_fields
+from companion.ground.belief import Doubt
 from companion.ground.reports import (
     checks_of,
     leader_check,
@@ -17,6 +18,7 @@ from companion.types.autopilot import PositionError
 from companion.types.flight import HealthFlag, Role
 from companion.types.formation import FlownSlot, Heading, HeldReference
 from companion.types.notices import Code, Notice
+from companion.types.status import NO_STATE_AGE_S
 from companion.types.values import ZERO3
 from ground_fleet import directed_status
 
@@ -129,6 +131,21 @@ def test_the_status_shows_the_reference_and_the_age_of_its_target(
 ) -> None:
     lines = status_lines({1: with_fields(READY, reference=held, target_age_s=target_age_s)}, [], 3.0)
     assert f" reference {text}, operator -, battery 80 %" in lines[1]
+
+
+def test_what_cannot_be_true_is_named_below_its_vehicle() -> None:
+    doubt = Doubt(1, "slot", "0, -900, 0 m", "at most 141 m from the reference")
+    text = " ".join(" ".join(status_lines({1: READY}, [], 3.0, [doubt])).split())
+    assert "REPORT_IMPLAUSIBLE: reports slot 0, -900, 0 m; expected at most 141 m" in text
+    (data,) = status_as_data({1: READY}, [], [doubt])
+    assert [(one["field"], one["code"]) for one in data["doubts"]] == [("slot", "REPORT_IMPLAUSIBLE")]
+
+
+def test_a_vehicle_without_a_position_is_shown_at_none() -> None:
+    nowhere = with_fields(READY, position_enu_m=(0.0, 0.0, 0.0), state_age_s=NO_STATE_AGE_S)
+    assert "position unknown" in status_lines({1: nowhere}, [], 3.0)[0]
+    (data,) = status_as_data({1: nowhere}, [])
+    assert (data["position_enu_m"], data["velocity_enu_m_s"]) == (None, None)
 
 
 def test_the_data_marks_missing_vehicles() -> None:

@@ -17,7 +17,7 @@ from companion.monitor.api import Snapshot, VehicleView
 from companion.monitor.snapshot import KEPT_S, PERIOD_S, Picture
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag
-from companion.types.status import Status
+from companion.types.status import NO_STATE_AGE_S, Status
 from companion.wire.messages import StatusReport
 from ground_fleet import TIMING, leader, reported
 from tests.bench.monitor_load import SteadyFleet, steady_fleet
@@ -159,6 +159,34 @@ def test_a_vehicle_with_another_fleet_file_is_an_alarm(load: SteadyFleet) -> Non
     picture_of(load.report(1, 0.0).status, with_fields(load.report(2, 0.0).status, formation_hash=7), picture=picture)
     seen(picture, 100.1)
     assert [(a.vehicle_id, a.code) for a in seen(picture, 100.6).alarms] == [(2, "FLEET_FILE_DIFFERS")]
+
+
+def test_a_report_that_cannot_be_true_is_an_alarm_that_names_the_value(load: SteadyFleet) -> None:
+    picture = Picture({"load": load.fleet}, "anna@ground")
+    lost = with_fields(load.report(2, 0.0).status, position_enu_m=(9000.0, 0.0, 5.0), reference_s=-1.0)
+    picture_of(load.report(1, 0.0).status, lost, picture=picture)
+    seen(picture, 100.1)
+    (alarm,) = seen(picture, 100.6).alarms
+    assert (alarm.vehicle_id, alarm.code, alarm.severity) == (2, "REPORT_IMPLAUSIBLE", "warning")
+    assert "reports position_enu_m 9000, 0, 5 m; expected x, y, z of" in alarm.text
+    assert "reports reference_s -1 s; expected 0 to" in alarm.text
+    assert "origin" in alarm.advice
+
+
+def test_a_vehicle_without_a_position_has_none_at_zero(load: SteadyFleet) -> None:
+    nowhere = {"position_enu_m": (0.0, 0.0, 0.0), "velocity_enu_m_s": (0.0, 0.0, 0.0), "state_age_s": NO_STATE_AGE_S}
+    grounded = {"armed": False, "landed": LandedState.ON_GROUND}
+    picture = Picture({"load": load.fleet}, "anna@ground")
+    picture_of(
+        with_fields(load.report(2, 0.0).status, **nowhere | grounded), load.report(1, 0.0).status, picture=picture
+    )
+    shown = vehicle(picture, 2)
+    assert (shown.position_enu_m, shown.velocity_enu_m_s, shown.data_age_s) == (None, None, None)
+    file = picture.fleet_map("load")
+    assert file is not None
+    assert 2 not in file.homes_enu_m
+    (point,) = picture.history().points
+    assert [sample.altitude_m is None for sample in point.vehicles] == [False, True]
 
 
 def test_alarms_and_changes_of_phase_are_events() -> None:
