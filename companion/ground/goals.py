@@ -109,11 +109,11 @@ def _has(number: int, flown: int, waiting: int) -> bool:
 
 
 def _flies(status: Status, change: FormationChange) -> bool:
-    """At rest in its slot, or as good as in that of the change."""
+    """In its slot of the change, or at rest in that of a newer one. In the tick in which a change begins no slot moves yet."""
     flown = status.formation.slot.formation
-    if flown != change.number and not is_newer(flown, change.number):
-        return False
-    return not status.formation.slot.moves or way_left_m(status, change) < SLOT_REACHED_M
+    if flown == change.number and (left_m := way_left_m(status, change)) < inf:
+        return left_m < SLOT_REACHED_M
+    return (flown == change.number or is_newer(flown, change.number)) and not status.formation.slot.moves
 
 
 def way_left_m(status: Status, change: FormationChange) -> float:

@@ -80,6 +80,9 @@ def test_every_other_command_has_a_goal() -> None:
         assert goal_of(name, contents.get(name), running=True), name
 
 
+SLOT = FormationChange(3, ((1, (-2.0, 0.0, 0.0)), (2, ZERO3)), 0.0, 1.0)
+
+
 @pytest.mark.parametrize(
     ("content", "reported", "running", "finished"),
     [
@@ -96,6 +99,9 @@ def test_every_other_command_has_a_goal() -> None:
             False,
         ),
         (FormationChange(3, (), 0.0, 1.0), {"slot": FlownSlot(ZERO3, formation=3, waiting=3)}, True, True),
+        (SLOT, {"slot": FlownSlot((-1.0, 0.0, 0.0), formation=3, waiting=3)}, True, False),  # begins in this tick
+        (SLOT, {"slot": FlownSlot((-2.0005, 0.0, 0.0), formation=3, waiting=3, moves_for_s=0.1)}, True, True),
+        (SLOT, {"slot": FlownSlot((-1.0, 0.0, 0.0), formation=4, waiting=4)}, True, True),  # a later one replaced it
         (ReferenceChange(3, {}, 0.0), {"reference": HeldReference(2, 3)}, True, False),
         (ReferenceChange(3, {}, 0.0), {"reference": HeldReference(2, 3)}, False, True),
         (ReferenceChange(3, {}, 0.0), {"reference": HeldReference(3, 3)}, True, True),
