@@ -47,15 +47,16 @@ from companion.core.reference.target import Box, TargetLimits
 from companion.core.report import ReportStage
 from companion.core.safety.audit import FleetFence
 from companion.core.safety.failsafe import FailsafeSettings, HealthLimits, limit_of
-from companion.core.safety.fleet_checks import FleetChecks
+from companion.core.safety.fleet_checks import FleetChecks, slow_to_brake
 from companion.core.safety.limits import OutputLimits
 from companion.core.safety.return_check import ReturnCheck
 from companion.core.safety.safeguard import SafeguardStage
 from companion.geometry.airspace import Airspace
+from companion.geometry.formations import to_separation_metric
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.commands import Described
 from companion.types.flight import FailsafeAction, Role
-from companion.types.notices import Code
+from companion.types.notices import Code, Notice
 from companion.types.status import AgentIdentity
 from companion.types.steps import Steps
 from companion.types.values import GRAVITY_M_S2, Vector3
@@ -102,6 +103,7 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
         returns=returns,
         successors=frozenset(fleet.successors),
         take_off_by_altitude=frozenset(kind for kind, profile in PROFILES.items() if profile.takes_off_by_altitude),
+        slow_to_brake=_slow_to_brake(fleet, member.id, safety_filter.braking_alone_m_s2),
     )
     return Agent(
         vehicle_id=member.id,
@@ -117,6 +119,12 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
         distant_peers=_distant_peers(fleet, member.id) if fleet.has_distant_peers else None,
         reporter=ReportStage(identity, law_of(law), checks),
     )
+
+
+def _slow_to_brake(fleet: FleetConfig, own_id: int, braking_m_s2: float) -> Notice | None:
+    has_height = fleet.law.altitude == "formation"
+    slots = {member.id: to_separation_metric(member.slot_enu_m, has_height) for member in fleet.vehicles}
+    return slow_to_brake(own_id, slots, fleet.separation_m, braking_m_s2, fleet.envelope.max_tilt_deg)
 
 
 def fleet_fence_of(fleet: FleetConfig) -> FleetFence:

@@ -118,6 +118,7 @@ LATER = frozenset({F.LEADER_LOST, F.LEADER_AWAITED})  # a leader publishes no be
 BATTERY = frozenset({Code.BATTERY_LOW})
 BATTERY_WARNINGS = frozenset({Code.BATTERY_LOW, Code.BATTERY_UNKNOWN})
 SEPARATION = frozenset({Code.VEHICLE_TOO_CLOSE, Code.ALTITUDES_DIFFER})
+SEPARATION_WARNINGS = frozenset({Code.BRAKES_SLOWLY})
 NOT_CHECKED = "not checked while armed"
 
 
@@ -175,12 +176,13 @@ def checks_of(status: Status, fleet_ids: Collection[int], formation_hash: int) -
             "separation",
             [notice for notice in lacks if notice.code in SEPARATION],
             NOT_CHECKED if status.autopilot.armed else "kept",
+            [notice for notice in status.safety.warnings if notice.code in SEPARATION_WARNINGS],
         ),
         _check(
             "parameters",
             others,
             NOT_CHECKED if status.autopilot.armed else "as the audit requires; arming checks pass",
-            [notice for notice in status.safety.warnings if notice.code not in BATTERY_WARNINGS],
+            [w for w in status.safety.warnings if w.code not in BATTERY_WARNINGS | SEPARATION_WARNINGS],
         ),
     )
 

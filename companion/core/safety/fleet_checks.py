@@ -7,9 +7,9 @@ multipath and not always the satellites, and none reports how much of its error 
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from math import hypot, inf, sqrt
+from math import dist, hypot, inf, sqrt
 
 from companion.core.consensus.peers import PeerState
 from companion.core.safety.return_check import ReturnCheck, home_elsewhere, home_shared
@@ -19,6 +19,7 @@ from companion.types.flight import ON_GROUND, FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
+from companion.types.values import Vector3
 
 NO_ALTITUDE = "the autopilot has no origin, and takes off to an altitude above sea level"
 SET_ORIGIN = (
@@ -31,6 +32,7 @@ ONE_ID_EACH = "give each autopilot an id of its own (MAV_SYS_ID, SYSID_THISMAV),
 FORMED = frozenset({FlightPhase.ENGAGE, FlightPhase.FORMATION})
 REFUSED_BELOW_SIGMAS = 3.0
 WARNED_BELOW_SIGMAS = 6.0  # at 5.2 four vehicles once came within 0.12 m of each other
+SLOW_M_S = 1.0  # a vehicle under a pilot, or on its way to another slot, comes with so much
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,7 @@ class FleetChecks:
     returns: ReturnCheck
     successors: frozenset[int] = frozenset()
     take_off_by_altitude: frozenset[AutopilotKind] = frozenset()  # these need to know it
+    slow_to_brake: Notice | None = None  # `slow_to_brake` of the fleet file
 
     def judge(
         self, name: CommandName, vehicle: VehicleState, slot: FlownSlot, peers: Collection[PeerPacket], role: Role
@@ -126,7 +129,7 @@ class FleetChecks:
         shared = None
         if vehicle.home_enu_m is not None:
             shared = home_shared(self.own_id, self.separation_m, vehicle.home_enu_m, peers)
-        return tuple(filter(None, (home_elsewhere(self.separation_m, vehicle), shared)))
+        return tuple(filter(None, (home_elsewhere(self.separation_m, vehicle), shared, self.slow_to_brake)))
 
     def _too_near(self, vehicle: VehicleState, peers: Collection[PeerPacket]) -> Notice | None:
         """The nearest peer below separation_m in the plane, on the ground or in flight: all climb and land vertically."""
@@ -219,6 +222,36 @@ def _joined(notices: Collection[Notice]) -> Notice | None:
     if not notices:
         return None
     return Notice(next(iter(notices)).code, "; ".join(notice.text for notice in notices))
+
+
+def brakes_from_m_s(braking_m_s2: float, margin_m: float) -> float:
+    """The speed that a vehicle reaches or brakes from within the margin: it keeps off one that comes with no more."""
+    return sqrt(2.0 * braking_m_s2 * max(margin_m, 0.0))
+
+
+def slow_to_brake(
+    own_id: int, slots: Mapping[int, Vector3], separation_m: float, braking_m_s2: float, max_tilt_deg: float
+) -> Notice | None:
+    """The vehicle brakes too little to keep off a neighbour that leaves its slot towards it at SLOW_M_S.
+
+    `slots` in the metric of separation_m, of the fleet file. `braking_m_s2`: with which it plans to brake alone.
+    """
+    apart_m = {other: dist(slots[own_id], slot) for other, slot in slots.items() if other != own_id}
+    nearest = min(apart_m, key=apart_m.__getitem__, default=None)
+    if nearest is None:
+        return None
+    margin_m = apart_m[nearest] - separation_m
+    speed_m_s = brakes_from_m_s(braking_m_s2, margin_m)
+    if speed_m_s >= SLOW_M_S:
+        return None
+    wanted_m = separation_m + SLOW_M_S * SLOW_M_S / (2.0 * braking_m_s2)
+    return Notice(
+        Code.BRAKES_SLOWLY,
+        f"braking: with max_tilt_deg {max_tilt_deg:g} vehicle {own_id} brakes by {braking_m_s2:.2f} m/s^2, and within the"
+        f" {margin_m:.2f} m that its slot and that of vehicle {nearest} are farther apart than separation_m from"
+        f" {speed_m_s:.2f} m/s; one that comes faster, as under a pilot, comes nearer; for {SLOW_M_S:g} m/s slots"
+        f" {wanted_m:.1f} m apart, or more tilt",
+    )
 
 
 def id_shared(vehicle: VehicleState) -> Notice | None:

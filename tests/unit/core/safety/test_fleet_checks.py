@@ -1,12 +1,14 @@
 """Checks of the fleet: altitudes on the ground, slot distances against reported position errors."""
 
 import dataclasses
+from math import radians, tan
 
 import pytest
 from msgspec.structs import replace
 
 from common import SLOTS, code_of, slot_peer, with_fields
-from companion.core.safety.fleet_checks import FleetChecks
+from companion.config.fleet import Envelope
+from companion.core.safety.fleet_checks import FleetChecks, slow_to_brake
 from companion.core.safety.return_check import ReturnCheck
 from companion.types.autopilot import AutopilotKind, PositionError, VehicleState
 from companion.types.commands import CommandName
@@ -14,6 +16,8 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
+from companion.types.values import GRAVITY_M_S2
+from one_agent import FLEET, AgentFlight
 
 OWN = FlownSlot(SLOTS[2])
 RETURNS = ReturnCheck(2, separation_m=1.0, braking_m_s2=2.0, responds_s=0.45, goes_on_s=0.55)
@@ -175,3 +179,44 @@ def test_joining_is_refused_when_the_leader_has_another_formation() -> None:
     formed = replace(slot_peer(3, air=True), phase=FlightPhase.FORMATION)
     for others in ([follower], [on_ground], [leader, formed]):
         assert CHECKS.judge(CommandName.FORM, vehicle(), OWN, others, Role.FOLLOWER)[0] is None
+
+
+# ---------------------------------------------------------------- what it can brake from
+
+
+def braked(margin_m: float, tilt_deg: float) -> Notice | None:
+    """Of vehicle 2 of three in a line, `margin_m` farther apart than separation_m."""
+    slots = {i: ((i - 1) * (1.0 + margin_m), 0.0, 0.0) for i in (1, 2, 3)}
+    return slow_to_brake(2, slots, 1.0, 0.3 * GRAVITY_M_S2 * tan(radians(tilt_deg)), tilt_deg)
+
+
+def test_a_vehicle_with_little_tilt_says_from_which_speed_it_can_brake() -> None:
+    warning = braked(1.0, 5.0)
+    assert warning is not None
+    assert warning.code is Code.BRAKES_SLOWLY
+    assert warning.text == (
+        "braking: with max_tilt_deg 5 vehicle 2 brakes by 0.26 m/s^2, and within the 1.00 m that its slot and that of"
+        " vehicle 1 are farther apart than separation_m from 0.72 m/s; one that comes faster, as under a pilot, comes"
+        " nearer; for 1 m/s slots 2.9 m apart, or more tilt"
+    )
+
+
+@pytest.mark.parametrize(
+    ("margin_m", "tilt_deg", "warned"),
+    [(0.5, 25.0, False), (0.2, 25.0, True), (1.0, 10.0, False), (1.0, 9.0, True), (2.0, 5.0, False), (2.0, 4.0, True)],
+)
+def test_little_tilt_needs_slots_that_are_far_apart(margin_m: float, tilt_deg: float, warned: bool) -> None:
+    assert (braked(margin_m, tilt_deg) is not None) is warned
+
+
+def test_slots_at_the_separation_leave_no_speed_and_one_vehicle_needs_none() -> None:
+    assert code_of(braked(0.0, 45.0)) is Code.BRAKES_SLOWLY
+    assert slow_to_brake(2, {2: (0.0, 0.0, 0.0)}, 1.0, 0.1, 3.0) is None
+
+
+@pytest.mark.parametrize(("tilt_deg", "warned"), [(25.0, False), (5.0, True)])
+def test_a_vehicle_on_the_ground_warns_of_little_tilt(tilt_deg: float, warned: bool) -> None:
+    flight = AgentFlight(fleet=replace(FLEET, envelope=Envelope(max_tilt_deg=tilt_deg)))
+    status = [status for _ in range(50) if (status := flight.tick().status)][-1]
+    codes = [warning.code for warning in status.safety.warnings]
+    assert (Code.BRAKES_SLOWLY in codes) is warned
