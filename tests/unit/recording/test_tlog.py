@@ -19,7 +19,7 @@ from recordings import BEGAN_S, BEGAN_UNIX_S, recorder
 class Wire:
     """A link that sends nowhere, and is free every second time."""
 
-    def __init__(self, _endpoint: str, _received: object, _all_read: object) -> None:
+    def __init__(self, _endpoint: str, _received: object, _all_read: object, _beside: object) -> None:
         self.sent: list[bytes] = []
 
     def send(self, data: bytes) -> None:
