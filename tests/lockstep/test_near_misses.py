@@ -1,27 +1,47 @@
 """Flights in which vehicles once came too close: each is a small scenario file beside this one.
 
 `hold_in_front`: the front vehicle of two at 2.3 m/s is commanded to hold. `pilot_in_front`: a pilot turns a vehicle towards its
-neighbour and brakes. `split_exchange`: the network splits for 4.5 s while three vehicles exchange slots.
+neighbour and brakes. `split_exchange`: the network splits for 4.5 s while three vehicles exchange slots. `pressed_up`: a pilot
+climbs from straight below a vehicle that is 0.1 m under the fence's ceiling less the clearance.
 """
 
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-from sitl.flight.scenario import load_scenario
-from sitl.flight.virtual_flight import fly_in_virtual_time
+from sitl.flight.scenario import Scenario, load_scenario
+from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
 from sitl.gauntlet.flight import distances
 from sitl.report.progress import FlightProgress
 
 CASES = Path(__file__).with_name("cases")
 
 
-@pytest.mark.parametrize(("case", "ratio"), [("hold_in_front", 1.0), ("pilot_in_front", 0.9), ("split_exchange", 1.0)])
+OVERSHOOT_M = 0.05
+
+
+@cache
+def flown(case: str) -> tuple[Scenario, Flown]:
+    scenario = load_scenario(CASES / f"{case}.yaml")
+    return scenario, fly_in_virtual_time(scenario, FlightProgress(case, True, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("case", "ratio"),
+    [("hold_in_front", 1.0), ("pilot_in_front", 0.9), ("split_exchange", 1.0), ("pressed_up", 1.0)],
+)
 def test_no_vehicle_comes_nearer_than(case: str, ratio: float) -> None:
     """The ratio is that of the smallest distance to separation_m, of pairs of which an agent commands at least one."""
-    scenario = load_scenario(CASES / f"{case}.yaml")
-    flight = fly_in_virtual_time(scenario, FlightProgress(case, True, 0.0))
+    scenario, flight = flown(case)
     assert flight.failure is None
     nearest = distances(flight.stand_ins).commanded
     assert nearest is not None
     assert nearest.distance_m >= ratio * scenario.fleet.separation_m
+
+
+def test_a_vehicle_that_is_pressed_up_goes_aside_below_the_ceiling() -> None:
+    scenario, flight = flown("pressed_up")
+    envelope, track = scenario.fleet.envelope, flight.tracks()[1].position_enu_m
+    assert track[:, 2].max() < envelope.fence_max_enu_m[2] - envelope.clearance_m + OVERSHOOT_M
+    assert abs(track[:, 0]).max() > scenario.fleet.separation_m
