@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import random
 import socket
+import ssl
 import threading
 import time
 from collections.abc import Iterator
@@ -30,6 +31,7 @@ from processes import companion
 from secured_fleet import (
     IDS,
     MEASURED_S,
+    SecuredFleet,
     Undisturbed,
     measured,
     publishing,
@@ -43,7 +45,7 @@ from secured_fleet import (
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240)]
 
 FLOOD_HZ = 10_000
-SILENT_CONNECTIONS = 3000
+SILENT_CONNECTIONS, BEGUN_HANDSHAKES = 3000, 600
 GIVEN_UP_AFTER_S = 10.0  # a TLS handshake that Zenoh has begun; it pauses 0.1 s after each
 BACK_WITHIN_S = 5.0
 NEW_SESSION_WITHIN_S = 120.0  # after an attack on the listeners
@@ -204,7 +206,7 @@ def test_failing_handshakes_keep_only_new_sessions_out(flying: Undisturbed, row:
 
 
 def test_silent_connections_hold_nothing_up(flying: Undisturbed, row: FaultRow) -> None:
-    """Nor a participant that connects while they are there, or when handshakes end that were begun."""
+    """Nor a participant that connects while they are there, when handshakes end that were begun, or when they end."""
     fleet, began_s = flying.fleet, time.monotonic()
     with ExitStack() as stack:
         for number in range(SILENT_CONNECTIONS):
@@ -212,10 +214,36 @@ def test_silent_connections_hold_nothing_up(flying: Undisturbed, row: FaultRow) 
             stack.enter_context(socket.create_connection(address, 5.0))
         measured(flying, row, f"{SILENT_CONNECTIONS} connections that send nothing", "no effect")
         fleet.ground.listen(max(0.0, began_s + GIVEN_UP_AFTER_S + 1.0 - time.monotonic()))
-        connects_s = time.monotonic()
-        with FleetSession("*", fleet.endpoints(), identity=fleet.identity("monitor-tower")) as tower:
-            assert len(statuses_of(tower.newest, IDS, BACK_WITHIN_S)) == len(IDS)
-        row.measured.append(f"a new session meanwhile {time.monotonic() - connects_s:.1f} s")
+        row.measured.append(f"a new session meanwhile {new_session_s(fleet):.1f} s")
+    row.measured.append(f"{new_session_s(fleet):.1f} s after their end")
+
+
+def test_begun_handshakes_hold_nothing_up(flying: Undisturbed, row: FaultRow) -> None:
+    """Nor when Zenoh would give them up. Those that are broken off count as failing ones."""
+    fleet, began_s, hello = flying.fleet, time.monotonic(), client_hello()
+    with ExitStack() as stack:
+        for number in range(BEGUN_HANDSHAKES):
+            address = ("127.0.0.1", fleet.port(IDS[number % len(IDS)]))
+            stack.enter_context(socket.create_connection(address, 5.0)).sendall(hello)
+        measured(flying, row, f"{BEGUN_HANDSHAKES} TLS handshakes that are begun and do not go on", "no effect")
+        fleet.ground.listen(max(0.0, began_s + GIVEN_UP_AFTER_S + 1.0 - time.monotonic()))
+        row.measured.append(f"a new session meanwhile {new_session_s(fleet):.1f} s")
+
+
+def new_session_s(fleet: SecuredFleet) -> float:
+    """How long a monitor that connects now waits for the first report of the last vehicle."""
+    connects_s = time.monotonic()
+    with FleetSession("*", fleet.endpoints(), identity=fleet.identity("monitor-tower")) as tower:
+        assert len(statuses_of(tower.newest, IDS, BACK_WITHIN_S)) == len(IDS)
+    return time.monotonic() - connects_s
+
+
+def client_hello() -> bytes:
+    """The first bytes of a client, to which the server answers and then waits."""
+    incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+    with suppress(ssl.SSLWantReadError):
+        ssl.create_default_context().wrap_bio(incoming, outgoing, server_hostname="vehicle").do_handshake()
+    return outgoing.read()
 
 
 def test_abort_is_answered_in_the_end(flying: Undisturbed) -> None:

@@ -15,7 +15,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import zenoh
 
-from companion.link.fleet.sockets import hold_silent_connections, keep_from_lingering
+from companion.link.fleet.sockets import (
+    MOST_CONNECTIONS,
+    allow_connections,
+    hold_silent_connections,
+    keep_from_lingering,
+)
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name
 from companion.types.errors import UnusableError
 from companion.wire.keys import (
@@ -43,6 +48,9 @@ Taken = TypeVar("Taken")
 # the stalls of TCP on a lossy radio (about a second) would only add reconnections to the loss.
 LEASE_MS = 2000
 HANDSHAKE_MS = 2000
+# A TLS handshake that is begun and never goes on costs 12 kB and a file. When Zenoh gives it up, after 10 s by default, it
+# pauses 0.1 s, in which it accepts nobody: 600 kept a vehicle that started again out for 13 s. So none is given up in a flight.
+TLS_HANDSHAKE_MS = 3_600_000
 # Size of a connection's buffers; a longer message is sent in parts. The default of 64 kB takes 0.3 MB more for every peer. Two
 # of these hold the packets of 2 s. A stall of less does not fill them, and a longer one ends the connection anyway (LEASE_MS).
 BATCH_BYTES = 16384
@@ -50,6 +58,7 @@ BATCH_BYTES = 16384
 # two threads that receive, which wakes the other.
 THREADS = "(rx: (worker_threads: 1), acc: (handover: rx), net: (handover: rx))"
 
+ENDPOINT = re.compile(r"[a-z]+/(?:\[[^\]]+\]|[^/:\s]+):(\d{1,5})(?:[?#].*)?")
 PROTECTED, PROTECTED_WORDS = ("tls", "quic"), "tls/HOST:PORT or quic/HOST:PORT"
 
 SETTINGS: dict[str, Any] = {
@@ -69,6 +78,9 @@ SETTINGS: dict[str, Any] = {
     # The default waits 10 s for an answer that a lossy link or a partition took.
     "transport/unicast/open_timeout": HANDSHAKE_MS,
     "transport/unicast/accept_timeout": HANDSHAKE_MS,
+    # Strangers whose connections have said something wait among these, too, until HANDSHAKE_MS has passed. The default of 100
+    # refused participants meanwhile.
+    "transport/unicast/accept_pending": MOST_CONNECTIONS,
     "listen/timeout_ms": 0,
     "listen/exit_on_failure": True,
     "connect/timeout_ms": -1,  # a peer that is not running yet is retried without end, in the background
@@ -104,15 +116,23 @@ def open_session(listen: Sequence[str], connect: Sequence[str], identity: Identi
     config = zenoh.Config()
     for path, value in {**SETTINGS, **(_security_settings(identity) if identity else {})}.items():
         config.insert_json5(path, json.dumps(value))
-    config.insert_json5("listen/endpoints", json.dumps(list(listen)))
+    config.insert_json5("listen/endpoints", json.dumps([_patient(endpoint) for endpoint in listen]))
     config.insert_json5("connect/endpoints", json.dumps(list(connect)))
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:
         raise _explain(str(error), listen, connect) from error
     if listen:
-        hold_silent_connections()
+        hold_silent_connections([int(address[1]) for one in listen if (address := ENDPOINT.fullmatch(one))])
+        allow_connections()
     return session
+
+
+def _patient(listen: str) -> str:
+    """The endpoint with TLS_HANDSHAKE_MS, for which Zenoh has no other place."""
+    if not listen.startswith("tls/"):
+        return listen
+    return f"{listen}{';' if '#' in listen else '#'}tls_handshake_timeout_ms={TLS_HANDSHAKE_MS}"
 
 
 def _security_settings(identity: Identity) -> dict[str, Any]:
@@ -186,7 +206,7 @@ def each(items: Iterable[Any], take: Callable[[Any], Taken | None], refuse: Call
 def check_endpoints(kind: str, endpoints: Sequence[str]) -> None:
     """Refuses endpoints that Zenoh would retry without end and without a message. Raises EndpointError."""
     for endpoint in endpoints:
-        address = re.fullmatch(r"[a-z]+/(?:\[[^\]]+\]|[^/:\s]+):(\d{1,5})(?:[?#].*)?", endpoint)
+        address = ENDPOINT.fullmatch(endpoint)
         if not address or not 0 < int(address[1]) <= 65535:
             raise EndpointError(kind, endpoint, "expected PROTOCOL/HOST:PORT, like tcp/192.168.1.11:7447")
 

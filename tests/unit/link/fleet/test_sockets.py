@@ -1,5 +1,6 @@
 """Connections that linger when they are closed, and those that say nothing, over real sockets of this process."""
 
+import resource
 import socket
 import struct
 import sys
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from common import until
-from companion.link.fleet.sockets import OPEN_FILES, hold_silent_connections, second_name, stop_lingering
+from companion.link.fleet.sockets import OPEN_FILES, end_begun, hold_silent_connections, second_name, stop_lingering
 from companion.link.fleet.zenoh_session import open_session
 from processes import free_port
 
@@ -83,6 +84,82 @@ def test_a_session_takes_no_connection_that_says_nothing(stack: ExitStack) -> No
     stack.enter_context(closing(open_session((), (f"tcp/127.0.0.1:{port}",))))
     until(lambda: session.info.links())
     assert of_connections(lambda one: one.getsockname()[1] == port and not listens(one)).count(True) == 1
+
+
+@pytest.fixture
+def listener(stack: ExitStack) -> socket.socket:
+    """That accepts connections as those of a session do."""
+    one = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+    hold_silent_connections([one.getsockname()[1]])
+    one.settimeout(20.0)
+    return one
+
+
+def test_the_end_of_a_silent_connection_hands_it_not_over(stack: ExitStack, listener: socket.socket) -> None:
+    for _ in range(50):
+        socket.create_connection(listener.getsockname()).close()
+    speaking = stack.enter_context(socket.create_connection(listener.getsockname()))
+    speaking.sendall(b"x")
+    accepted, address = listener.accept()
+    stack.enter_context(accepted)
+    assert address == speaking.getsockname()
+
+
+def test_the_end_of_a_connection_whose_handshake_is_complete_arrives(stack: ExitStack, listener: socket.socket) -> None:
+    other = stack.enter_context(socket.create_connection(listener.getsockname()))
+    other.sendall(b"x")
+    accepted = stack.enter_context(listener.accept()[0])
+    accepted.settimeout(20.0)
+    accepted.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, LINGERS)  # as Zenoh does it then
+    stop_lingering(set())
+    other.close()
+    assert (accepted.recv(1), accepted.recv(1)) == (b"x", b"")
+
+
+def test_a_handshake_that_is_begun_does_not_break_off(stack: ExitStack, listener: socket.socket) -> None:
+    other = stack.enter_context(socket.create_connection(listener.getsockname()))
+    other.sendall(b"x")
+    accepted = stack.enter_context(listener.accept()[0])
+    stop_lingering(set())
+    other.close()
+    accepted.settimeout(0.2)
+    assert accepted.recv(1) == b"x"
+    with pytest.raises(TimeoutError):
+        accepted.recv(1)
+
+
+@pytest.mark.parametrize(("few", "most", "ended"), [(6, 6, 0), (3, 6, 1), (3, 4, 2), (1, 0, 6)])
+def test_of_too_many_handshakes_that_were_begun_the_oldest_end(
+    stack: ExitStack, listener: socket.socket, few: int, most: int, ended: int
+) -> None:
+    other = stack.enter_context(socket.create_server(("127.0.0.1", 0)))  # that no session has opened
+    made = []
+    for _ in range(6):
+        made.append(stack.enter_context(socket.create_connection(listener.getsockname())))
+        made[-1].sendall(b"x")
+        stack.enter_context(listener.accept()[0])
+    beside = stack.enter_context(socket.create_connection(other.getsockname()))
+    end_begun(set(), few, most)
+    for number, one in enumerate(made):
+        one.settimeout(20.0 if number < ended else 0.0)
+        if number < ended:
+            assert one.recv(1) == b""
+        else:
+            with pytest.raises(BlockingIOError):
+                one.recv(1)
+    beside.sendall(b"x")
+    assert stack.enter_context(other.accept()[0]).recv(1) == b"x"
+
+
+def test_a_session_may_have_many_files(stack: ExitStack) -> None:
+    own, highest = resource.getrlimit(resource.RLIMIT_NOFILE)
+    stack.callback(resource.setrlimit, resource.RLIMIT_NOFILE, (own, highest))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (512, highest))
+    stack.enter_context(closing(open_session((f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}",), ())))
+    assert resource.getrlimit(resource.RLIMIT_NOFILE) == (min(8192, highest), highest)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (highest, highest))
+    stack.enter_context(closing(open_session((f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}",), ())))
+    assert resource.getrlimit(resource.RLIMIT_NOFILE) == (highest, highest)
 
 
 def test_nothing_stays_open_that_was_looked_at(tmp_path: Path) -> None:
