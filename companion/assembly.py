@@ -7,7 +7,8 @@ from math import hypot, radians, tan
 from pathlib import Path
 from typing import TypeVar
 
-from companion.analysis.pace import USUAL_DRAG_1_S, following_steps
+from companion.analysis.pace import following_steps
+from companion.analysis.response import USUAL_DRAG_1_S
 from companion.config.file import ConfigError, convert, refuse
 from companion.config.fleet import EdgeNeighbours, FleetConfig, Law, LawName
 from companion.config.reference import Reference, ReferenceSection, TargetReference

@@ -14,6 +14,7 @@
 ## make soak       eight vehicles for an hour: memory, files, threads and ticks over time; writes docs/soak.md; SECONDS=300: a short run without the page
 ## make hostile    hostile input for every decoder and for whole agents; writes docs/hostile.md (a quarter of an hour on two cores); HOSTILE=: a minute
 ## make gauntlet   1,000 random flights in virtual time; writes docs/gauntlet.md (over an hour on two cores; Ctrl-C reports those that are complete)
+## make verdicts   200 random formations and settings, analysed and flown in virtual time: the table of docs/law.md (half an hour on two cores)
 ## make faults     flies real fleets under every fault and writes the measured table into docs/faults.md (a quarter of an hour)
 ## make link-faults  flies fleets whose computers go silent or lose their network interface, in network namespaces (needs root; some minutes)
 ## make attacks    lets strangers attack a real fleet with identities and writes the table into docs/attacks.md (minutes)
@@ -21,7 +22,7 @@
 ## make coverage   lines of the safety code and the separation filter that their tests do not reach; there must be none
 ## make tighten    lowers the budgets of source and tick (tests/unit/budgets.json) to today's figures
 
-.PHONY: bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet faults link-faults attacks test-vehicles test-fleets coverage tighten
+.PHONY: bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet verdicts faults link-faults attacks test-vehicles test-fleets coverage tighten
 
 LAB = $(BIN)/python -m tests
 
@@ -72,6 +73,9 @@ hostile: .venv/fly.ready
 
 gauntlet: .venv/fly.ready
 	$(BIN)/sitl gauntlet --flights 1000 --seed 1 --out runs/gauntlet --page docs/gauntlet.md
+
+verdicts: .venv/fly.ready
+	$(LAB).bench.verdicts
 
 # One flight at a time: latencies are measured.
 FAULT_TESTS = tests/faults/test_link_faults.py tests/faults/test_process_faults.py tests/faults/test_autopilot_faults.py

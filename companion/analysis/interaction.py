@@ -115,14 +115,6 @@ def mode_figures(gains: Gains, eigenvalue: float) -> ModeFigures:
     return ModeFigures(slowest / 2.0, damping, atan2(k2 * crossover_rad_s, k1) / crossover_rad_s)
 
 
-def lag_margin_s(gains: Gains) -> float:
-    """The largest first-order attitude lag T for which every mode is stable, s.
-
-    Routh criterion of T s^3 + s^2 + k2 lambda s + k1 lambda: T < k2/k1.
-    """
-    return gains.velocity_1_s / gains.position_1_s2
-
-
 def time_to_shrink_s(rate_1_s: float, error_m: float, within_m: float) -> float:
     """Time in which an error decays to `within_m` at this rate, s. Longer if G is far from normal."""
     if error_m <= within_m:

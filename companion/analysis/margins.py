@@ -1,16 +1,12 @@
-"""Stability of the linear model: its state matrix x' = A x, the worst transient peak, delay margins and string stability.
-
-Delays are first-order Pade filters, (1 - s d/2) / (1 + s d/2). Their phase matches the delay up to
-1/d and beyond, which is faster than any formation responds.
-"""
+"""Stability of the linear model: whether its errors decay, delay margins and string stability."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from cmath import phase
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from heapq import heapify, heappop, heappush
-from itertools import pairwise
-from math import atan2, exp, inf, log, pi, sqrt
+from itertools import product
+from math import exp, inf, log, log10, pi, sqrt
 
 import numpy as np
 
@@ -19,194 +15,142 @@ from companion.analysis.interaction import (
     Coupling,
     FloatArray,
     eigenvalues,
-    lag_margin_s,
     mode_eigenvalues,
-    mode_figures,
+    symmetric_like,
 )
 from companion.analysis.response import LinearModel
-from companion.core.consensus.law import Gains
 
-SHORTEST_S = 1e-3  # lower limit of lag and delays, so that every filter has a state
-STEP_S = 0.1
-# (factor of the step length, number of steps): waves along a chain come before slow oscillations
-WATCHED = ((1, 150), (5, 300), (8, 60))
+AT_ORIGIN_1_S = 2.0  # (s + AT_ORIGIN_1_S)^2 makes each factor finite at all frequencies
+LEAST_LAST_RAD_S = 80.0
+SLOWER = 0.02  # times the lowest frequency at which anything turns
+PER_DECADE = 30  # grid points
+TURN_RAD = 0.8  # largest turn of a factor between two frequencies
+HALVINGS = 40
+FIRST_DELAY_S, MOST_DELAY_S, CLOSE = 0.02, 1000.0, 5e-4  # search for the margin, and its relative accuracy
 
 
-def state_matrix(coupling: Coupling, model: LinearModel) -> FloatArray:
-    """A (5n, 5n) of x = [e, e', e'', z, z_f]; z filters the command on its way to the motors.
+class _Loop:
+    """Factors of det(plant (I - g z_l F) + feedback (D - z_m W)), with z = e^{-s age} of the neighbours' commands and states.
 
-    z_f filters the command on its way to the neighbours. The output of a Pade filter is 2 z - input,
-    with z' = (2/d)(input - z): u = -K (G e) + g W (2 z_f - u), so
-    (I + g W) u = -G (k1 e + k2 e') + 2 g W z_f, which can be solved because g < 1.
+    In the symmetric form of Lemma 2 the weights are W = V mu V'. With L of leaders that use neighbours D = I + L and
+    F = (I - L) W, so all but L has the eigenvectors V, and its determinant is a product: O(n) at a frequency, not O(n^3).
+    What L adds is a matrix of the size of its leaders.
     """
-    n = len(coupling.G)
-    one, zero = np.eye(n), np.zeros((n, n))
-    gains = coupling.law.gains
-    lag_s, delay_s, forward_delay_s = (
-        max(value, SHORTEST_S) for value in (model.attitude_lag_s, model.delay_s, model.feedforward_delay_s)
-    )
-    forward = coupling.law.feedforward * coupling.W
-    to_u = np.linalg.inv(one + forward)
-    fed_back = -to_u @ coupling.G
-    u = np.hstack([gains.position_1_s2 * fed_back, gains.velocity_1_s * fed_back, zero, zero, 2.0 * to_u @ forward])
-    e2 = np.hstack([zero, zero, one, zero, zero])
-    to_motors = np.hstack([zero, zero, zero, one, zero])
-    to_neighbours = np.hstack([zero, zero, zero, zero, one])
-    velocity = np.hstack([zero, one, zero, zero, zero])
-    return np.vstack(
-        [
-            velocity,
-            e2,
-            (2.0 * to_motors - u - e2) / lag_s,
-            (u - to_motors) * (2.0 / delay_s),
-            (u - to_neighbours) * (2.0 / forward_delay_s),
-        ]
-    )
+
+    def __init__(self, coupling: Coupling, model: LinearModel) -> None:
+        symmetric = symmetric_like(coupling.G)
+        own = np.diag(symmetric)
+        self._mu, vectors = np.linalg.eigh(np.diag(own) - symmetric)
+        self._leading = vectors[own > 1.5]
+        self._law, self._model = coupling.law, model
+
+    def directions(self, omega_rad_s: FloatArray) -> ComplexArray:
+        """The factors, over their moduli, at these frequencies (k, n + 1)."""
+        s = np.asarray(1j * omega_rad_s, dtype=np.complex128)[:, np.newaxis]
+        model, mu = self._model, self._mu
+        plant = s * (s + model.drag_1_s)
+        fed_back = self._feedback(s) * np.exp(-s * model.delay_s)
+        forward = self._law.feedforward * np.exp(-s * model.feedforward_delay_s)
+        without = 1.0 - forward * mu
+        modes = plant * without + fed_back * (1.0 - np.exp(-s * model.neighbour_delay_s) * mu)
+        of_leaders = self._of_leaders((fed_back + plant * forward * mu) / modes)
+        of_leaders /= self._of_leaders(forward * mu / without)
+        factors = np.hstack([modes / without / (s + AT_ORIGIN_1_S) ** 2, of_leaders[:, np.newaxis]])
+        return np.asarray(factors / np.abs(factors), dtype=np.complex128)
+
+    def _of_leaders(self, values: ComplexArray) -> ComplexArray:
+        """det(I + V_L values V_L') (k,)."""
+        rows = self._leading
+        return np.asarray(np.linalg.det(np.eye(len(rows)) + (rows * values[:, np.newaxis, :]) @ rows.T))
+
+    def _feedback(self, s: ComplexArray) -> ComplexArray:
+        """(k1 + k2 s) and the lag, without the delay."""
+        gains = self._law.gains
+        return np.asarray((gains.position_1_s2 + gains.velocity_1_s * s) * self._model.flown_share(s))
+
+    def last_rad_s(self) -> float:
+        """A frequency from which on the loop has no gain left."""
+        omega_rad_s = LEAST_LAST_RAD_S
+        while True:
+            s = np.array([1j * omega_rad_s])
+            gain = abs(self._feedback(s)[0]) / omega_rad_s**2
+            if gain * 3.0 / (1.0 - self._law.feedforward) * len(self._mu) < 0.5:
+                return omega_rad_s
+            omega_rad_s *= 1.5
+
+    def left_of(self, omega_rad_s: float) -> float:
+        """The argument at a frequency from which on the loop has no gain: that to infinity is left."""
+        s = 1j * omega_rad_s
+        return len(self._mu) * phase(s * (s + self._model.drag_1_s) / (s + AT_ORIGIN_1_S) ** 2)
+
+    def grid_rad_s(self, slowest: float) -> FloatArray:
+        gains, model = self._law.gains, self._model
+        k1, k2 = gains.position_1_s2, gains.velocity_1_s
+        first, last = SLOWER * min(1.0, sqrt(k1 * slowest), k1 / k2), self.last_rad_s()
+        turning_s = max(model.feedforward_delay_s, model.neighbour_delay_s)
+        even = np.arange(1.0, 1.0 + turning_s * last) / turning_s if turning_s > 0.0 else np.empty(0)
+        return np.unique(np.concatenate([np.geomspace(first, last, round(PER_DECADE * log10(last / first))), even]))
 
 
 def is_stable(coupling: Coupling, model: LinearModel) -> bool:
     """Whether all errors of the coupled system decay.
 
-    Without feed-forward each eigenvalue of G is checked as a system of its own.
+    By the argument principle: the determinant of `_Loop` over (s + a)^2n is 1 at infinity, positive at s = 0, and has no
+    pole on the right. So its argument changes by -pi over the frequencies from 0 on for every root there, and by nothing where
+    there is none.
     """
-    systems = [coupling]
-    if coupling.law.feedforward == 0.0:
-        alone = np.zeros((1, 1))
-        systems = [replace(coupling, G=np.array([[value]]), W=alone) for value in eigenvalues(coupling.G)]
-    return all(np.linalg.eigvals(state_matrix(system, model)).real.max() < 0.0 for system in systems)
-
-
-def worst_transient_peak(coupling: Coupling, model: LinearModel) -> float | None:
-    """sup over t of |exp(A t)|, positions to positions, in the maximum norm; None if A is unstable.
-
-    It is the largest error [m] that a start from rest with errors up to 1 m can lead to.
-    """
-    if not is_stable(coupling, model):
-        return None
-    n = len(coupling.G)
-    matrix = state_matrix(coupling, model)
-    states = np.vstack([np.eye(n), np.zeros((4 * n, n))])
-    peak = 1.0
-    transition = _exponential(matrix * STEP_S)
-    for longer, steps in WATCHED:
-        transition = np.linalg.matrix_power(transition, longer)
-        for _ in range(steps):
-            states = transition @ states
-            peak = max(peak, float(np.abs(states[:n]).sum(axis=1).max()))
-    return peak
-
-
-def _exponential(matrix: FloatArray) -> FloatArray:
-    """Matrix exponential by scaling and squaring of a Taylor series."""
-    halvings = max(0, int(np.ceil(np.log2(max(np.abs(matrix).sum(axis=1).max(), 1e-300)))) + 2)
-    small = matrix / 2.0**halvings
-    term = total = np.eye(len(matrix))
-    for k in range(1, 13):
-        term = term @ small / k
-        total = total + term
-    for _ in range(halvings):
-        total = total @ total
-    return total
-
-
-COARSE, PER_E_FOLD = 24, 6  # minimum number of grid points, in total and per e-fold
-CLOSE = 1e-6  # relative width of the frequency interval at which the search ends
+    slowest = float(eigenvalues(coupling.G)[0])
+    if slowest <= 0.0:
+        return False
+    loop = _Loop(coupling, model)
+    omega = loop.grid_rad_s(slowest)
+    directions = loop.directions(omega)
+    for _ in range(HALVINGS):
+        turns = np.angle(directions[1:] / directions[:-1])
+        wide = np.flatnonzero(np.abs(turns).max(axis=1) > TURN_RAD)
+        if not wide.size:
+            argument = float(np.angle(directions[0].prod()) + turns.sum())
+            return abs(argument - loop.left_of(float(omega[-1]))) < 0.5 * pi
+        between = 0.5 * (omega[wide] + omega[wide + 1])
+        omega = np.insert(omega, wide + 1, between)
+        directions = np.insert(directions, wide + 1, loop.directions(between), axis=0)
+    return False  # a root on the axis
 
 
 def delay_margin_with_lag_s(coupling: Coupling, model: LinearModel) -> float:
-    """The smallest loop delay d at which a mode is undamped, s; 0 if the lag alone is unstable.
+    """The loop delay d from which on it is unstable, s; 0 if it is unstable without one. `model.delay_s` is not used."""
+    return least_delay_margin_s([coupling], [model])
 
-    A root of det(I + Lambda(s) e^{-sd}) = 0 reaches the imaginary axis at s = j omega if an
-    eigenvalue of Lambda has modulus 1 and d = (pi + arg) / omega. For a system that is stable at
-    d = 0 the margin is the smallest such d. `model.delay_s` is not used.
 
-    The loop is Lambda(s) e^{-sd} with Lambda = N (k1 + k2 s) / (s^2 (1 + sT)) and N = (I - g W e^{-s tau})^-1 G. Without
-    feed-forward N = G: each eigenvalue has its own loop, and its margin has a closed form. With feed-forward the eigenvalues of
-    N depend on the frequency, and the margin is found by a search.
-    """
-    if not _stable_without_delay(coupling, model):
+def least_delay_margin_s(couplings: Sequence[Coupling], models: Sequence[LinearModel]) -> float:
+    """The smallest margin of these couplings with these models."""
+    least_s = inf
+    for coupling, model in product(couplings, models):
+
+        def stable_with(delay_s: float, coupling: Coupling = coupling, model: LinearModel = model) -> bool:
+            return is_stable(coupling, replace(model, delay_s=delay_s))
+
+        if least_s == inf or not stable_with(least_s):
+            least_s = _last(stable_with)
+    return least_s
+
+
+def _last(holds: Callable[[float], bool]) -> float:
+    """The largest value up to which it holds; 0 if it never does."""
+    if not holds(0.0):
         return 0.0
-    if coupling.law.feedforward == 0.0:
-        gains, lag_s = coupling.law.gains, model.attitude_lag_s
-        return min(_mode_margin_s(gains, lag_s, float(value)) for value in eigenvalues(coupling.G))
-    return _Spectrum(coupling, model).first_crossing_s()
+    low, high = 0.0, FIRST_DELAY_S
+    while high < MOST_DELAY_S and holds(high):
+        low, high = high, 1.5 * high
+    while high - low > CLOSE * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
 
 
-def _stable_without_delay(coupling: Coupling, model: LinearModel) -> bool:
-    if eigenvalues(coupling.G)[0] <= 0.0:
-        return False
-    if coupling.law.feedforward == 0.0:
-        return model.attitude_lag_s < lag_margin_s(coupling.law.gains)
-    return is_stable(coupling, LinearModel(model.attitude_lag_s, 0.0, model.feedforward_delay_s))
-
-
-def _mode_margin_s(gains: Gains, lag_s: float, eigenvalue: float) -> float:
-    """Delay margin of one eigenvalue lambda > 0 of G, without feed-forward and with T < k2/k1.
-
-    The loop has gain one at x = omega^2, the only positive root of
-    T^2 x^3 + x^2 = lambda^2 (k2^2 x + k1^2). There d = (atan(a omega) - atan(T omega)) / omega with
-    a = k2/k1.
-    """
-    k1, k2 = gains.position_1_s2, gains.velocity_1_s
-    roots = np.roots([lag_s**2, 1.0, -((eigenvalue * k2) ** 2), -((eigenvalue * k1) ** 2)])
-    omega_rad_s = sqrt(float(roots.real.max()))
-    a = k2 / k1
-    return atan2((a - lag_s) * omega_rad_s, 1.0 + a * lag_s * omega_rad_s**2) / omega_rad_s
-
-
-class _Spectrum:
-    """Eigenvalues of Lambda(j omega), computed once per frequency."""
-
-    def __init__(self, coupling: Coupling, model: LinearModel) -> None:
-        self._coupling = coupling
-        self._model = model
-        self._known: dict[float, ComplexArray] = {}
-
-    def first_crossing_s(self) -> float:
-        """The smallest d of all eigenvalues whose modulus passes 1.
-
-        Best-first search: the interval with the smallest bound is halved until it is narrower
-        than `CLOSE`.
-        """
-        waiting = [(self._soonest_s(low, high), low, high) for low, high in pairwise(self._grid_rad_s().tolist())]
-        heapify(waiting)
-        while True:
-            margin_s, low, high = heappop(waiting)
-            if high < low * (1.0 + CLOSE):
-                return margin_s
-            middle = sqrt(low * high)
-            for part in ((low, middle), (middle, high)):
-                heappush(waiting, (self._soonest_s(*part), *part))
-
-    def _soonest_s(self, low: float, high: float) -> float:
-        """Lower bound of d for the moduli that pass 1 between two frequencies, from both ends."""
-        left, right = self._at(low), self._at(high)
-        passes = (np.abs(left) >= 1.0) != (np.abs(right) >= 1.0)
-        ends = [(pi + np.angle(values[passes])) / omega for values, omega in ((left, low), (right, high))]
-        return float(np.min(ends, initial=inf))
-
-    def _at(self, omega_rad_s: float) -> ComplexArray:
-        """Eigenvalues (n,) by falling modulus, so that each modulus is continuous in the frequency."""
-        if omega_rad_s not in self._known:
-            s = 1j * omega_rad_s
-            coupling, gains = self._coupling, self._coupling.law.gains
-            forward = coupling.law.feedforward * np.exp(-s * self._model.feedforward_delay_s)
-            loop = np.linalg.solve(np.eye(len(coupling.G)) - forward * coupling.W, coupling.G)
-            feedback = gains.position_1_s2 + gains.velocity_1_s * s
-            vehicle = s * s * (1.0 + s * self._model.attitude_lag_s)
-            values = np.asarray(np.linalg.eigvals(loop) * (feedback / vehicle), dtype=np.complex128)
-            self._known[omega_rad_s] = values[np.argsort(-np.abs(values))]
-        return self._known[omega_rad_s]
-
-    def _grid_rad_s(self) -> FloatArray:
-        """Frequencies from all moduli above 1 to all below 1, rad/s."""
-        modes, gains = mode_eigenvalues(self._coupling), self._coupling.law.gains
-        low = high = pi / (2.0 * mode_figures(gains, float(modes[-1])).delay_margin_s)
-        while np.abs(self._at(low)).min() <= 1.0:
-            low /= 1.5
-        while np.abs(self._at(high)).max() >= 1.0:
-            high *= 1.5
-        return np.geomspace(low, high, max(COARSE, round(PER_E_FOLD * log(high / low))))
+def are_stable(couplings: Sequence[Coupling], models: Sequence[LinearModel], delay_s: float) -> bool:
+    """Whether all these couplings are stable with all these models and this loop delay."""
+    return all(is_stable(one, replace(model, delay_s=delay_s)) for one, model in product(couplings, models))
 
 
 POINTS_PER_DECADE = 80
@@ -233,16 +177,20 @@ class StringGains:
 def response(coupling: Coupling, model: LinearModel, omega_rad_s: float) -> ComplexArray:
     """y (n,) for a reference that oscillates by 1 m at this frequency.
 
-    s^2 (1 + sT) e^{sd} y = u and u = -(k1 + k2 s)(G y - L r) + g W e^{-s tau} u + g s^2 L r, with L = 1 for leaders, hence
-    [(I - g W e^{-s tau}) s^2 (1 + sT) e^{sd} + (k1 + k2 s) G] y = (k1 + k2 s + g s^2) L r.
+    (s^2 + c s) e^{sd} / H y = u, where H is the lag, and u = -(k1 + k2 s)((D - W e^{-s m}) y - L r) + g W e^{-s l} u
+    + g (s^2 + c s) L r, with L = 1 for leaders, hence [(I - g W e^{-s l}) (s^2 + c s) e^{sd} / H
+    + (k1 + k2 s)(D - W e^{-s m})] y = (k1 + k2 s + g (s^2 + c s)) L r.
     """
     s = 1j * omega_rad_s
     law = coupling.law
     feedback = law.gains.position_1_s2 + law.gains.velocity_1_s * s
-    vehicle = s * s * (1.0 + s * model.attitude_lag_s) * np.exp(s * model.delay_s)
+    plant = s * (s + model.drag_1_s)
+    vehicle = plant * np.exp(s * model.delay_s) / model.flown_share(s)
     forward = law.feedforward * np.exp(-s * model.feedforward_delay_s)
-    left = vehicle * (np.eye(len(coupling.G)) - forward * coupling.W) + feedback * coupling.G
-    right = (feedback + law.feedforward * s * s) * coupling.is_leader
+    own = np.diag(np.diag(coupling.G))
+    loop = own - (own - coupling.G) * np.exp(-s * model.neighbour_delay_s)
+    left = vehicle * (np.eye(len(coupling.G)) - forward * coupling.W) + feedback * loop
+    right = (feedback + law.feedforward * plant) * coupling.is_leader
     return np.asarray(np.linalg.solve(left, right), dtype=np.complex128)
 
 

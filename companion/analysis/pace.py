@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from itertools import combinations
 from math import dist, inf, radians, tan
 
-from companion.analysis.response import ROUNDING, Chain, ClosestPair, refused_cases, slower_by
+from companion.analysis.response import ROUNDING, USUAL_DRAG_1_S, Chain, ClosestPair, refused_cases, slower_by
 from companion.config.fleet import FleetConfig
 from companion.config.planned_flight import neighbour_graph
 from companion.config.reference import Reference
@@ -16,8 +16,6 @@ from companion.geometry.formations import to_separation_metric
 from companion.types.flight import Role
 from companion.types.steps import Steps
 from companion.types.values import GRAVITY_M_S2, Vector3
-
-USUAL_DRAG_1_S = 0.25  # drag of a small open quadrotor
 
 
 def following_steps(

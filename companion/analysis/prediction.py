@@ -1,61 +1,155 @@
 """Prediction of a formation's errors by the linear model in steps, and when an error has settled.
 
-A vehicle is a double integrator behind a first-order lag (the attitude loop) and a delay
-(telemetry, Zenoh, setpoint). Noise, saturation and real attitude control are left out.
+A vehicle is a double integrator with drag behind the lag of its attitude loop and a delay (telemetry, setpoint), and knows its
+neighbours as they were when their packets left. Noise, saturation and the separation filter are left out.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import exp
+from itertools import count, islice
+from math import ceil
 
 import numpy as np
 
 from companion.analysis.interaction import Coupling, FloatArray
 from companion.analysis.response import TICK_S, LinearModel
+from companion.core.consensus.law import Gains
+from companion.core.formation.paths import (
+    Offset,
+    Path,
+    followers_path,
+    gentle_path,
+    law_settles,
+    law_within_m,
+    together_s,
+)
+from companion.types.values import Vector3
 
 SUBSTEPS = 4
 CHECK_TICKS = 50
 DIVERGED_M = 1e6  # the prediction ends at this error, before an overflow
-AT_REST = 1e-9  # and where no error, velocity or acceleration is larger than this, in m and s
+AT_REST = 1e-4  # and where no error, velocity or acceleration is larger than this, in m and s
+NO_PATHS: Sequence[Path | None] = ()
 
 
 def errors_over_time(
-    coupling: Coupling, start_errors_m: FloatArray, model: LinearModel, duration_s: float
+    coupling: Coupling,
+    start_errors_m: FloatArray,
+    model: LinearModel,
+    duration_s: float,
+    paths: Sequence[Path | None] = NO_PATHS,
 ) -> FloatArray:
     """Errors e (ticks, n, axes) [m] from rest at `start_errors_m` (n, axes), every 0.02 s.
 
-    u(k) = -K (G e(k)) + g W u(k - m), with m >= 1 ticks as the delay of the feed-forward. A command
-    is held for a tick, which is half a tick of delay; the rest of `delay_s` is transport delay.
+    A vehicle with a path flies slot + delta(t) (`core/formation/paths.py`): the law sees y = e - delta, and delta'' is added to
+    its command. There are either no paths or one entry for each vehicle, and then three axes.
+    """
+    ticks = round(duration_s / TICK_S)
+    history = np.empty((ticks, *start_errors_m.shape))
+    for tick, position in enumerate(errors_by_tick(coupling, start_errors_m, model, paths)):
+        if tick == ticks:
+            return history
+        history[tick] = position
+    history[tick:] = position
+    return history
+
+
+def errors_by_tick(
+    coupling: Coupling, start_errors_m: FloatArray, model: LinearModel, paths: Sequence[Path | None] = NO_PATHS
+) -> Iterator[FloatArray]:
+    """`errors_over_time` tick by tick, until the errors have decayed or diverged.
+
+    u(k) = -K (D y(k) - W y(k - m)) + g W u(k - l), with G = D - W; m and l are ages in ticks, between which states are
+    interpolated. A command is held for a tick, which is half a tick of delay; the rest of `delay_s` is transport delay.
     Between commands the motion is exact.
     """
-    gains, feedforward = coupling.law.gains, coupling.law.feedforward * coupling.W
-    ticks = round(duration_s / TICK_S)
+    gains, own = coupling.law.gains, np.diag(coupling.G)[:, np.newaxis]
+    weights = np.diag(np.diag(coupling.G)) - coupling.G
     motion = _motion_of_a_tick(model)
-    state = np.zeros((3, start_errors_m.size))  # position, velocity and acceleration of each vehicle and axis
-    state[0] = start_errors_m.ravel()
-    nothing = np.zeros_like(start_errors_m, dtype=float)
-    sent = deque([nothing] * (motion.whole_ticks + 2))  # from the oldest that still arrives to the newest
-    arriving = np.zeros((2, start_errors_m.size))
-    # Commands that have not reached the neighbours yet.
-    fed_forward = deque([nothing] * max(1, round(model.feedforward_delay_s / TICK_S)))
-    history = np.empty((ticks, *start_errors_m.shape))
-    for tick in range(ticks):
-        position, velocity = state[0].reshape(nothing.shape), state[1].reshape(nothing.shape)
-        history[tick] = position
-        if tick % CHECK_TICKS == 0 and _has_ended(state):
-            history[tick:] = position
-            break
-        command = -(coupling.G @ (gains.position_1_s2 * position + gains.velocity_1_s * velocity))
-        if coupling.law.feedforward > 0.0:
-            command += feedforward @ fed_forward.popleft()
-            fed_forward.append(command)
+    of_tick, n = np.hstack([motion.of_state, motion.of_commands]), len(motion.of_state)
+    shape, shifts = start_errors_m.shape, _Shifts(start_errors_m.shape, paths)
+    moving = np.zeros((n + 2, *shape))  # position, velocity, acceleration and so on, and the commands that arrive
+    moving[0] = start_errors_m
+    flat = moving.reshape(n + 2, -1)
+    both = np.array([gains.position_1_s2, gains.velocity_1_s])
+    sent: deque[FloatArray] = deque([np.zeros(shape)] * (motion.whole_ticks + 2))
+    wanted = _Aged(gains.position_1_s2 * (start_errors_m - shifts.at(0)[0]), model.neighbour_delay_s)
+    forward = _Forward(coupling, model, shape)
+    for tick in count():
+        yield moving[0]
+        if tick % CHECK_TICKS == 0 and tick >= shifts.ticks and _has_ended(flat):
+            return
+        on_path, fed_back = tick < shifts.ticks, (both @ flat[:2]).reshape(shape)
+        if on_path:
+            delta, delta_1_s, delta_1_s2 = shifts.at(tick)
+            fed_back = fed_back - gains.position_1_s2 * delta - gains.velocity_1_s * delta_1_s
+        command = forward.added(weights @ wanted.after(fed_back) - own * fed_back)
         sent.popleft()
-        sent.append(command)
-        arriving[0], arriving[1] = sent[0].ravel(), sent[1].ravel()
-        state = motion.of_state @ state + motion.of_commands @ arriving
-    return history
+        sent.append(command + delta_1_s2 if on_path else command)
+        moving[n], moving[n + 1] = sent[0], sent[1]
+        flat[:n] = of_tick @ flat
+
+
+class _Aged:
+    """A signal some ticks ago, interpolated; before its begin it was as at first."""
+
+    def __init__(self, first: FloatArray, age_s: float) -> None:
+        whole, self._share = divmod(age_s / TICK_S, 1.0)
+        self._kept = deque([first] * (int(whole) + 2))  # the oldest that counts, to the newest
+
+    def after(self, newest: FloatArray) -> FloatArray:
+        """The aged signal, once `newest` is the present one."""
+        self._kept.popleft()
+        self._kept.append(newest)
+        return self._share * self._kept[0] + (1.0 - self._share) * self._kept[1]
+
+
+class _Forward:
+    """g W u of the neighbours, added to the feedback. Where they are less than a tick old, they depend on each other."""
+
+    def __init__(self, coupling: Coupling, model: LinearModel, shape: tuple[int, ...]) -> None:
+        self._weights = coupling.law.feedforward * coupling.W
+        self._fed = coupling.law.feedforward > 0.0
+        whole, share = divmod(model.feedforward_delay_s / TICK_S, 1.0)
+        # The newest command counts by the rest of the share, and is still unknown.
+        self._now = np.linalg.inv(np.eye(len(coupling.G)) - (1.0 - share) * self._weights) if whole == 0 else None
+        self._share = share
+        self._kept = deque([np.zeros(shape)] * (int(whole) + 1))  # the oldest that counts, to the last tick
+
+    def added(self, fed_back: FloatArray) -> FloatArray:
+        """The command of this tick."""
+        if not self._fed:
+            return fed_back
+        kept, share = self._kept, self._share
+        if self._now is not None:
+            command = self._now @ (fed_back + share * (self._weights @ kept[0]))
+        else:
+            command = fed_back + self._weights @ (share * kept[0] + (1.0 - share) * kept[1])
+        kept.popleft()
+        kept.append(command)
+        return command
+
+
+class _Shifts:
+    """delta and its derivatives of all vehicles at a tick."""
+
+    def __init__(self, shape: tuple[int, ...], paths: Sequence[Path | None]) -> None:
+        self._none = np.zeros((3, *shape))
+        self._paths = paths
+        self.ticks = max((ceil(path[1] / TICK_S) for path in paths if path), default=0)
+
+    def at(self, tick: int) -> FloatArray:
+        """(3, n, axes)."""
+        if tick >= self.ticks:
+            return self._none
+        shifts = self._none.copy()
+        for index, path in enumerate(self._paths):
+            if path and tick * TICK_S < path[1]:
+                shifts[:, index] = path[0](tick * TICK_S)
+        return shifts
 
 
 def _has_ended(state: FloatArray) -> bool:
@@ -77,19 +171,85 @@ class _TickMotion:
 
 def _motion_of_a_tick(model: LinearModel) -> _TickMotion:
     """A tick in SUBSTEPS. In the first of them the older command still arrives: the delay is no whole number of ticks."""
-    dt_s, lag_s = TICK_S / SUBSTEPS, model.attitude_lag_s
-    left = exp(-dt_s / lag_s) if lag_s > 0.0 else 0.0  # share of the acceleration's difference left after a substep
-    left_for_s = lag_s * (1.0 - left)  # integral of that share over the substep
-    left_for_s2 = lag_s * (dt_s - left_for_s)  # and its integral
-    substep = np.array([[1.0, dt_s, left_for_s2], [0.0, 1.0, left_for_s], [0.0, 0.0, left]])
-    effect = np.array([0.5 * dt_s**2 - left_for_s2, dt_s - left_for_s, 1.0 - left])
+    dt_s = TICK_S / SUBSTEPS
+    of_all = _exponential(_vehicle(model) * dt_s)
+    substep, effect = of_all[:-1, :-1], of_all[:-1, -1]
     transport_s = max(0.0, model.delay_s - 0.5 * TICK_S)
     whole_ticks, with_older = divmod(round(transport_s / dt_s), SUBSTEPS)
-    of_state, of_commands = np.eye(3), np.zeros((3, 2))
+    of_state, of_commands = np.eye(len(substep)), np.zeros((len(substep), 2))
     for index in range(SUBSTEPS):
         of_state, of_commands = substep @ of_state, substep @ of_commands
         of_commands[:, 0 if index < with_older else 1] += effect
     return _TickMotion(of_state, of_commands, whole_ticks)
+
+
+def _vehicle(model: LinearModel) -> FloatArray:
+    """x' = A x of one axis, x = [e, e', flown acceleration and its derivatives, command]; the command is constant."""
+    terms = [model.attitude_lag_s, model.attitude_a_s2, model.attitude_b_s3]
+    while terms and terms[-1] == 0.0:
+        terms.pop()
+    n = 2 + len(terms)
+    matrix = np.zeros((n + 1, n + 1))
+    matrix[0, 1], matrix[1, 1], matrix[1, 2] = 1.0, -model.drag_1_s, 1.0
+    if terms:
+        matrix[2 : n - 1, 3:n] = np.eye(len(terms) - 1)
+        matrix[n - 1, 2:n] = -np.array([1.0, *terms[:-1]]) / terms[-1]
+        matrix[n - 1, n] = 1.0 / terms[-1]
+    return matrix
+
+
+def _exponential(matrix: FloatArray) -> FloatArray:
+    """Matrix exponential by scaling and squaring of a Taylor series."""
+    halvings = max(0, int(np.ceil(np.log2(max(np.abs(matrix).sum(axis=1).max(), 1e-300)))) + 2)
+    small = matrix / 2.0**halvings
+    term = total = np.eye(len(matrix))
+    for k in range(1, 13):
+        term = term @ small / k
+        total = total + term
+    for _ in range(halvings):
+        total = total @ total
+    return total
+
+
+WATCHED_S = 200.0  # waves along a chain come before slow oscillations
+DECAYED, DECAYED_TICKS = 0.5, 500  # below this share of the peak for so long, nothing is larger later
+
+
+def worst_transient_peak(coupling: Coupling, model: LinearModel) -> float:
+    """The largest error [m] that a start from rest with errors up to 1 m can lead to, of a stable formation.
+
+    Every vehicle starts off on an axis of its own: the responses of one vehicle to all starts add up at worst.
+    """
+    peak, below = 1.0, 0
+    for errors_m in islice(errors_by_tick(coupling, np.eye(len(coupling.G)), model), round(WATCHED_S / TICK_S)):
+        largest = float(np.abs(errors_m).sum(axis=1).max())
+        peak, below = max(peak, largest), below + 1 if largest < DECAYED * peak else 0
+        if below > DECAYED_TICKS:
+            break
+    return peak
+
+
+def paths_into_slots(
+    offsets_m: Mapping[int, Vector3], leader: int, gains: Gains, speed_m_s: float, *, led: bool
+) -> dict[int, Path | None]:
+    """The path of each vehicle that forms from rest at this offset from its slot, all commanded at once.
+
+    The rules are those of `FormingTogether`; `leader` is the first leader, and `speed_m_s` is slot_speed_m_s. Unless `led`, the
+    others begin before they receive the leader's path: they see it where it is, and each takes the time of its own way. Raises
+    Refused for a slot that is too far away.
+    """
+    offsets = {i: Offset(offset_m) for i, offset_m in offsets_m.items()}
+    x, y, z = offsets_m[leader]
+    behind = {i: Offset((px - x, py - y, pz - z)) for i, (px, py, pz) in offsets_m.items()}
+    farthest_m = max(offset.distance_m for offset in offsets.values())
+    differ_m = max(offset.distance_m for offset in behind.values())
+    within_m, leaders = law_within_m(gains, speed_m_s), None
+    if not law_settles(farthest_m, differ_m, within_m):
+        leaders = gentle_path(offsets[leader], speed_m_s, together_s(farthest_m, speed_m_s))
+    ways, ends_in_s = (offsets, leaders[1]) if leaders and led else (behind, 0.0)
+    return {
+        i: leaders if i == leader else followers_path(way, speed_m_s, within_m, ends_in_s) for i, way in ways.items()
+    }
 
 
 def settled_after_s(errors_m: FloatArray, within_m: float) -> float | None:

@@ -30,14 +30,14 @@ def _run_analyze(options: argparse.Namespace) -> int:
       companion analyze /etc/companion/fleet.yaml --json | jq '.laws.weighted.lambda_min'
 
     A scenario defines the start positions and the reference; a fleet file alone is analyzed for a
-    step of 1 m. The predictions come from a linear model with an attitude lag of 0.2 s and a delay of
-    50 ms, without noise and limits. This lag is on the safe side: the stand-ins and the autopilots'
-    own simulations follow faster, and large fleets settle sooner there. --set takes any key of the
-    file and a YAML value.
+    step of 1 m. The predictions are of a linear model with the attitude loop as measured, the tick,
+    drag and the delay of the scenario's links, without noise, limits and the separation filter. The
+    law must be stable with that delay; with any up to 0.1 s where the scenario has the usual 1 ms.
+    --set takes any key of the file and a YAML value.
 
     exit codes:
       0    the formation converges, whatever else the verdict reports
-      1    it cannot converge: no path to a leader, or an unstable law with that lag and delay
+      1    it cannot converge: no path to a leader, or an unstable law with these delays
       2    the file cannot be used
       130  ended by Ctrl-C
     """

@@ -190,6 +190,11 @@ def neighbour_graph(
     return graph
 
 
+def graph_in_slots(fleet: FleetConfig) -> dict[int, list[int]]:
+    """The neighbours of the vehicles in their slots: with a range they are others than at the start."""
+    return neighbour_graph(fleet.neighbours, {member.id: member.slot_enu_m for member in fleet.vehicles})
+
+
 def neighbours_of(topology: Topology, members: tuple[FormationMember, ...]) -> EdgeNeighbours | RangeNeighbours:
     """The neighbours of these vehicles in this graph."""
     if topology == "range":

@@ -1,18 +1,21 @@
 """Analysis of a formation before its flight: fleet or scenario file -> figures. `companion analyze` prints them.
 
-The figures are of the linear model (companion/analysis/prediction.py): no noise, no saturation.
+The figures are of the linear model (companion/analysis/response.py): no noise, no saturation, no separation filter. What it
+predicts is what `sitl run` flies with ideal sensors; tests/bench/verdicts.py compares the two.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import tau
+from itertools import combinations
+from math import dist, sqrt, tau
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
+import msgspec
 import numpy as np
-from msgspec import Struct, structs
+from msgspec import Meta, Struct, structs
 from numpy.typing import NDArray
 
 from companion.analysis.interaction import (
@@ -26,27 +29,67 @@ from companion.analysis.interaction import (
     shift_m,
     time_to_shrink_s,
 )
-from companion.analysis.margins import delay_margin_with_lag_s, string_gains, worst_transient_peak
-from companion.analysis.prediction import SETTLED_WITHIN_M, errors_over_time, settled_after_s, transient_peak
-from companion.analysis.response import Graph, LinearModel, reached_from, settled_prcs
+from companion.analysis.margins import are_stable, least_delay_margin_s, string_gains
+from companion.analysis.prediction import (
+    SETTLED_WITHIN_M,
+    errors_over_time,
+    paths_into_slots,
+    settled_after_s,
+    transient_peak,
+    worst_transient_peak,
+)
+from companion.analysis.response import (
+    ATTITUDE_LOOPS,
+    AUTOPILOT_STEP_S,
+    ON_BOARD_S,
+    SPARE_S,
+    USUAL_DRAG_1_S,
+    USUAL_LINK_S,
+    Graph,
+    LinearModel,
+    flown_model,
+    links_borne_s,
+    reached_from,
+    settled_prcs,
+)
 from companion.assembly import flyable_problems, law_of
 from companion.config.file import SET, convert, kind_of_file, override, read_as
 from companion.config.fleet import EdgeNeighbours, FleetConfig, LawName
 from companion.config.fleet_check import fleet_problems
-from companion.config.planned_flight import PlannedFlight, fleet_of, neighbour_graph, planned_problems, starts_of
+from companion.config.planned_flight import (
+    PlannedFlight,
+    fleet_of,
+    graph_in_slots,
+    neighbour_graph,
+    planned_problems,
+    starts_of,
+)
 from companion.config.reference import Reference
 from companion.config.validation import Problem, each, unless_invalid
 from companion.core.consensus.law import FormationLaw, Gains
+from companion.core.filter.vehicles import PASSING_M, RIPPLE_M
+from companion.core.formation.paths import Path as SlotPath
+from companion.geometry.formations import to_separation_metric
+from companion.types.autopilot import AutopilotKind
 from companion.types.flight import Role
+from companion.types.notices import Refused
 from companion.types.values import ZERO3, Vector3
 
 LAW_NAMES: tuple[LawName, ...] = get_args(LawName)
 AVERAGE_LAWS: tuple[LawName, ...] = ("average_22", "average_26")
-MODEL = LinearModel()
 PREDICT_S = 120.0
 WORST_START_UP_TO = 100  # vehicles; for more the worst start takes too long to compute
 MORE = 0.1  # relative change of a gain that is tried
-NOT_READ = ("origins_enu_m", "stand_in", "assumed", "targets", "links", "timeline", "agent_ends")
+# Sections of a scenario that are not read, as they are named: two are read in part.
+NOT_READ = {
+    "origins_enu_m": "origins_enu_m",
+    "stand_in": "stand_in but its autopilot and drag",
+    "assumed": "assumed",
+    "targets": "targets",
+    "links": "links but their peer_delay_s",
+    "timeline": "timeline",
+    "agent_ends": "agent_ends",
+}
 VELOCITY_ERROR_M_S = 0.1  # assumed error of an estimator's velocity against its own position
 ERROR_TURNS_S = 30.0
 STEP_M = 1.0  # step of the reference that is predicted for a fleet file, which has no start positions
@@ -56,8 +99,10 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
     """Figures of one law with the leaders of the fleet file. Distances are of pairs of neighbours.
 
     lambda_min, eigenvalues and G are of the interaction matrix. Rate, damping and delay_margin_s are of the modes without
-    attitude lag, with feed-forward; all else is with lag and delay. String gains are None without a hop. For an unstable
-    formation string gains, peaks, times and distances are None. A time is None also where the event does not occur.
+    attitude lag and link, with feed-forward; all else is with lag and delays. String gains are None without a hop. For an
+    unstable formation string gains, peaks, times and distances are None. A time is None also where the event does not occur.
+    The margin is the smallest for the links of the scenario, or up to LATE_LINK_S where it has none, of the neighbours at the
+    start and in the slots; peaks, times and distances are with the link of the scenario.
     """
 
     gain_position_1_s2: float
@@ -65,14 +110,14 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
     exponent: float
     weight_ratio: float
     feedforward: float
-    stable: bool  # with attitude lag and the usual delay
+    stable: bool  # with attitude lag, the delay on board and these links
     lambda_min: float
     eigenvalues: list[float]
     rate_1_s: float
     damping_min: float
     delay_margin_s: float
     delay_margin_with_lag_s: float
-    delay_margin_more_velocity_gain_s: float  # the same with MORE gain on velocity, to see whether that helps
+    more_velocity_gain_helps: bool  # whether MORE gain on velocity makes it larger
     string_gain_per_hop: float | None
     string_gain_per_hop_rad_s: float | None  # frequency of the largest gain per hop
     string_gain_to_last: float | None
@@ -82,11 +127,14 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
     transient_peak: float | None  # largest error over the largest at the start
     worst_transient_peak: float | None  # largest peak from any start; None for more than WORST_START_UP_TO vehicles
     time_to_10_cm_s: float | None  # by the rate alone
-    predicted_settle_s: float | None  # by the linear model with attitude lag and delay
+    predicted_settle_s: float | None  # as flown: with the paths into the slots, or by the law alone
     leader_settle_s: float | None  # likewise, of a leader without neighbours from the same largest error
     leader_step_settle_s: float | None  # likewise, from STEP_M
     predicted_max_distance_m: dict[str, float] | None
     predicted_min_distance_m: dict[str, float] | None
+    predicted_smallest_distance_m: float | None  # of all pairs, as the separation filter leaves it
+    law_alone_distance_m: float | None  # and as the law alone would
+    smallest_distance_of: str | None
     stays_in_range: bool | None  # None: neighbours are given as edges
     # Range + hysteresis - the largest distance of any pair that are neighbours at the start
     margin_to_range_m: float | None
@@ -106,6 +154,10 @@ class Analysis(Struct, frozen=True, kw_only=True):
     leaders: list[int]
     law: LawName
     start_error_m: float  # the largest of any vehicle at the start of the predictions
+    link_s: float  # delay of the links between the agents in the predictions
+    latest_link_s: float  # and the latest one that the law must be stable with
+    least_margin_s: float  # the delay margin that it must have
+    separation_m: float
     reference_moves: bool  # in flight; in the predictions it is at rest at its start
     graph: dict[int, list[int]]
     laws: dict[LawName, LawAnalysis]
@@ -121,12 +173,42 @@ class _ScenarioPart(PlannedFlight, frozen=True, kw_only=True):
 
     reference: Reference | None = None
     origins_enu_m: Any = None
-    stand_in: Any = None
+    stand_in: Any = None  # and its autopilot alone
     assumed: Any = None
     targets: Any = None
-    links: Any = None
+    links: Any = None  # and their peer_delay_s alone
     timeline: Any = None
     agent_ends: Any = None
+
+
+class _OfLinks(Struct, frozen=True):
+    telemetry_delay_s: Annotated[float, Meta(ge=0, le=1)] = 0.0003
+    setpoint_delay_s: Annotated[float, Meta(ge=0, le=1)] = 0.0005
+    peer_delay_s: Annotated[float, Meta(ge=0, le=1)] = USUAL_LINK_S
+    peer_jitter_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
+
+    @property
+    def link_s(self) -> float:
+        """On average."""
+        return self.peer_delay_s + 0.5 * self.peer_jitter_s
+
+    @property
+    def on_board_s(self) -> float:
+        return AUTOPILOT_STEP_S + self.telemetry_delay_s + self.setpoint_delay_s
+
+
+class _OfAirframe(Struct, frozen=True):
+    mass_kg: Annotated[float, Meta(gt=0)] = 1.0
+    drag_n_per_m_s: Annotated[float, Meta(ge=0)] = USUAL_DRAG_1_S
+
+
+class _OfStandIn(Struct, frozen=True):
+    autopilot: AutopilotKind = AutopilotKind.PX4
+    airframe: _OfAirframe = _OfAirframe()
+
+    @property
+    def drag_1_s(self) -> float:
+        return self.airframe.drag_n_per_m_s / self.airframe.mass_kg
 
 
 class Subject(Struct, frozen=True, kw_only=True):
@@ -137,8 +219,21 @@ class Subject(Struct, frozen=True, kw_only=True):
     starts_enu_m: Mapping[int, Vector3]
     reference_enu_m: Vector3
     reference_moves: bool = False
+    link_s: float = USUAL_LINK_S  # between its agents
+    on_board_s: float = ON_BOARD_S
+    autopilot: AutopilotKind = AutopilotKind.PX4
+    drag_1_s: float = USUAL_DRAG_1_S
     not_read: Sequence[str] = ()
     settings: Sequence[str] = ()
+
+    def model(self, link_s: float) -> LinearModel:
+        """The model of its vehicles with this link."""
+        return flown_model(self.autopilot, link_s, self.drag_1_s, self.on_board_s)
+
+    @property
+    def least_margin_s(self) -> float:
+        """The delay margin that its law must have."""
+        return self.model(self.link_s).delay_s + SPARE_S
 
 
 def load_subject(path: Path, overrides: Sequence[str] = ()) -> Subject:
@@ -147,30 +242,45 @@ def load_subject(path: Path, overrides: Sequence[str] = ()) -> Subject:
     In a fleet file the vehicles start in formation, STEP_M behind the reference. Raises ConfigError.
     """
     data = read_as(path, "scenario", "fleet")
-    subject = _subject(path, data)  # the file must be valid by itself, so that an error below is an override's
+    subject = subject_of(path, data)  # the file must be valid by itself, so that an error below is an override's
     if not overrides:
         return subject
     data = override(data, overrides, "fleet.law.name=average_22, or law.name=average_22 in a fleet file")
-    return structs.replace(_subject(SET, data), file=path, settings=tuple(overrides))
+    return structs.replace(subject_of(SET, data), file=path, settings=tuple(overrides))
 
 
-def _subject(path: Path, data: Any) -> Subject:
-    """`path` names the file in errors."""
+def subject_of(path: Path, data: Any) -> Subject:
+    """The subject of the content of a file. `path` names it in errors. Raises ConfigError."""
     if kind_of_file(data) != "scenario" and not (isinstance(data, dict) and "fleet" in data):
         fleet = convert(path, data, FleetConfig, fleet_problems)
         starts = {member.id: member.slot_enu_m for member in fleet.vehicles}
         reference_enu_m, not_read = _a_step(fleet), _not_read(data, fleet, "")
         return Subject(file=path, fleet=fleet, starts_enu_m=starts, reference_enu_m=reference_enu_m, not_read=not_read)
     part = convert(path, data, _ScenarioPart, _problems)
-    fleet = fleet_of(part.fleet)
+    fleet, stand_in, links = fleet_of(part.fleet), _part_of(part.stand_in, _OfStandIn), _part_of(part.links, _OfLinks)
     return Subject(
         file=path,
         fleet=fleet,
         starts_enu_m=_starts(part, fleet),
         reference_enu_m=part.reference.start_enu_m if part.reference else _a_step(fleet),
         reference_moves=part.reference is not None and part.reference.MOVES,
+        link_s=links.link_s,
+        on_board_s=links.on_board_s,
+        autopilot=stand_in.autopilot,
+        drag_1_s=stand_in.drag_1_s,
         not_read=_not_read(data, fleet, "fleet."),
     )
+
+
+Part = TypeVar("Part")
+
+
+def _part_of(section: Any, type_: type[Part]) -> Part:
+    """What is read of a section; its defaults where that is invalid: the flight reports it."""
+    try:
+        return msgspec.convert(section or {}, type_)
+    except msgspec.ValidationError:
+        return type_()
 
 
 def _starts(part: _ScenarioPart, fleet: FleetConfig) -> Mapping[int, Vector3]:
@@ -186,7 +296,8 @@ def _problems(part: _ScenarioPart) -> Iterator[Problem]:
 
 def _not_read(data: Any, fleet: FleetConfig, where: str) -> list[str]:
     """Keys of the file that the analysis does not use; it keeps the heading of the start."""
-    return [section for section in NOT_READ if section in data] + [f"{where}formation_heading"] * fleet.slots_turn
+    named = [name for section, name in NOT_READ.items() if section in data]
+    return named + [f"{where}formation_heading"] * fleet.slots_turn
 
 
 def _a_step(fleet: FleetConfig) -> Vector3:
@@ -201,7 +312,10 @@ def analyse(subject: Subject) -> Analysis:
     leaders = [member.id for member in fleet.vehicles if member.role is Role.LEADER]
     graph = neighbour_graph(fleet.neighbours, _flying_positions(subject))
     unreached = sorted(set(ids) - reached_from(graph, leaders))
-    laws = {} if unreached else {name: _law_analysis(subject, graph, leaders, name) for name in LAW_NAMES}
+    in_slots = graph_in_slots(fleet)
+    if len(reached_from(in_slots, leaders)) < len(ids):
+        in_slots = graph  # of the slots some are out of range
+    laws = {} if unreached else {name: _law_analysis(subject, (graph, in_slots), leaders, name) for name in LAW_NAMES}
     own = law_of(fleet.law)
     by_leader = {
         i: float(eigenvalues(interaction_matrix(graph, {i}, own))[0])
@@ -217,6 +331,10 @@ def analyse(subject: Subject) -> Analysis:
         leaders=leaders,
         law=fleet.law.name,
         start_error_m=float(np.linalg.norm(_start_errors_m(subject), axis=1).max()),
+        link_s=subject.link_s,
+        latest_link_s=max(links_borne_s(subject.link_s)),
+        least_margin_s=subject.least_margin_s,
+        separation_m=fleet.separation_m,
         reference_moves=subject.reference_moves,
         graph=graph,
         laws=laws,
@@ -233,20 +351,23 @@ def _flying_positions(subject: Subject) -> dict[int, Vector3]:
     return {i: (x, y, z + subject.fleet.takeoff_height_m) for i, (x, y, z) in subject.starts_enu_m.items()}
 
 
-def _law_analysis(subject: Subject, graph: Graph, leaders: Collection[int], name: LawName) -> LawAnalysis:
+def _law_analysis(
+    subject: Subject, graphs: tuple[Graph, Graph], leaders: Collection[int], name: LawName
+) -> LawAnalysis:
+    """`graphs` are those at the start and in the slots."""
     law = law_of(subject.fleet.law.with_name(name))
-    coupling = couple(graph, leaders, law)
+    coupling, in_slots = (couple(graph, leaders, law) for graph in graphs)
+    flown = [coupling, in_slots] if graphs[0] != graphs[1] else [coupling]
     spectrum = eigenvalues(coupling.G)
     modes = [mode_figures(law.gains, float(value)) for value in mode_eigenvalues(coupling)]
     rate_1_s = min(mode.rate_1_s for mode in modes)
-    margin_s = delay_margin_with_lag_s(coupling, MODEL)
-    stable = margin_s > MODEL.delay_s
-    start_errors_m = _start_errors_m(subject)
-    errors_m = errors_over_time(coupling, start_errors_m, MODEL, PREDICT_S) if stable else None
-    distances_m = None if errors_m is None else _distances_m(subject.fleet, graph, errors_m)
-    gains = string_gains(coupling, MODEL) if stable else None
-    range_m = _margin_to_range_m(subject.fleet, distances_m) if distances_m else None
-    start_error_m = float(np.linalg.norm(start_errors_m, axis=1).max())
+    models = [subject.model(link_s) for link_s in links_borne_s(subject.link_s)]
+    margin_s = least_delay_margin_s(flown, models)
+    stable = margin_s > subject.least_margin_s
+    model = subject.model(subject.link_s)
+    flight = _predict(subject, graphs[0], in_slots) if stable else _NO_FLIGHT
+    gains = string_gains(coupling, model) if stable else None
+    start_error_m = float(np.linalg.norm(_start_errors_m(subject), axis=1).max())
     return LawAnalysis(
         gain_position_1_s2=law.gains.position_1_s2,
         gain_velocity_1_s=law.gains.velocity_1_s,
@@ -258,33 +379,102 @@ def _law_analysis(subject: Subject, graph: Graph, leaders: Collection[int], name
         eigenvalues=spectrum.tolist(),
         rate_1_s=rate_1_s,
         damping_min=min(mode.damping for mode in modes),
-        delay_margin_s=min(mode.delay_margin_s for mode in modes),
+        delay_margin_s=_delay_margin_s(coupling),
         delay_margin_with_lag_s=margin_s,
-        delay_margin_more_velocity_gain_s=delay_margin_with_lag_s(_more_velocity_gain(coupling), MODEL),
+        more_velocity_gain_helps=_more_velocity_gain_helps(flown, models, margin_s),
         string_gain_per_hop=gains.per_hop if gains else None,
         string_gain_per_hop_rad_s=gains.per_hop_rad_s if gains else None,
         string_gain_to_last=gains.to_last if gains else None,
         string_gain_to_last_rad_s=gains.to_last_rad_s if gains else None,
-        transient_peak=None if errors_m is None else transient_peak(errors_m),
-        worst_transient_peak=_worst_transient_peak(coupling) if stable else None,
+        worst_transient_peak=_worst_transient_peak(coupling, model) if stable else None,
         time_to_10_cm_s=time_to_shrink_s(rate_1_s, start_error_m, SETTLED_WITHIN_M) if stable else None,
-        predicted_settle_s=None if errors_m is None else settled_after_s(errors_m, SETTLED_WITHIN_M),
-        leader_settle_s=_leader_settle_s(law, start_error_m) if stable else None,
-        leader_step_settle_s=_leader_settle_s(law, STEP_M) if stable else None,
+        leader_settle_s=_leader_settle_s(subject, law, start_error_m) if stable else None,
+        leader_step_settle_s=_leader_settle_s(subject, law, STEP_M) if stable else None,
         velocity_error_shift_m=shift_m(law.gains, VELOCITY_ERROR_M_S),
         velocity_error_shift_corrected_m=shift_m(law.gains, VELOCITY_ERROR_M_S)
         * share_left(tau / ERROR_TURNS_S, subject.fleet.law.velocity_correction_1_s),
-        predicted_max_distance_m=_extremes_m(distances_m, np.max),
-        predicted_min_distance_m=_extremes_m(distances_m, np.min),
-        stays_in_range=None if range_m is None else range_m >= 0.0,
-        margin_to_range_m=range_m,
         G=coupling.G.tolist(),
+        **flight,
     )
 
 
-def _leader_settle_s(law: FormationLaw, start_error_m: float) -> float | None:
-    alone = couple({1: []}, {1}, law)
-    return settled_after_s(errors_over_time(alone, np.array([[start_error_m]]), MODEL, PREDICT_S), SETTLED_WITHIN_M)
+_NO_FLIGHT: dict[str, Any] = dict.fromkeys(
+    (
+        "transient_peak",
+        "predicted_settle_s",
+        "predicted_max_distance_m",
+        "predicted_min_distance_m",
+        "law_alone_distance_m",
+        "predicted_smallest_distance_m",
+        "smallest_distance_of",
+        "stays_in_range",
+        "margin_to_range_m",
+    )
+)
+
+
+def _predict(subject: Subject, graph: Graph, coupling: Coupling) -> dict[str, Any]:
+    """The figures of the flight of a stable law. `graph` has the neighbours at the start, whose distances are reported."""
+    model, start_errors_m = subject.model(subject.link_s), _start_errors_m(subject)
+    errors_m = errors_over_time(coupling, start_errors_m, model, PREDICT_S, _paths(subject, coupling, start_errors_m))
+    extremes_m = _extremes_m(subject.fleet, errors_m)
+    of_neighbours = {pair: found for pair, found in extremes_m.items() if pair[1] in graph[pair[0]]}
+    closest = min(extremes_m, key=lambda pair: extremes_m[pair][0], default=None)
+    range_m = _margin_to_range_m(subject.fleet, of_neighbours.values()) if of_neighbours else None
+    nearest_m = extremes_m[closest][0] if closest else None
+    return {
+        "transient_peak": transient_peak(errors_m),
+        "predicted_settle_s": settled_after_s(errors_m, SETTLED_WITHIN_M),
+        "predicted_max_distance_m": {f"{i}-{j}": round(most, 4) for (i, j), (_, most) in of_neighbours.items()},
+        "predicted_min_distance_m": {f"{i}-{j}": round(least, 4) for (i, j), (least, _) in of_neighbours.items()},
+        "law_alone_distance_m": None if nearest_m is None else round(nearest_m, 4),
+        "predicted_smallest_distance_m": None
+        if nearest_m is None
+        else round(max(nearest_m, _kept_m(subject.fleet)), 4),
+        "smallest_distance_of": f"{closest[0]}-{closest[1]}" if closest else None,
+        "stays_in_range": None if range_m is None else range_m >= 0.0,
+        "margin_to_range_m": range_m,
+    }
+
+
+def _kept_m(fleet: FleetConfig) -> float:
+    """The distance that the separation filter keeps on the way to the slots, in metres; slots may be nearer to each other."""
+    slots = [to_separation_metric(member.slot_enu_m, fleet.law.altitude == "formation") for member in fleet.vehicles]
+    return min(fleet.separation_m + PASSING_M + RIPPLE_M, *(dist(one, other) for one, other in combinations(slots, 2)))
+
+
+def _paths(subject: Subject, coupling: Coupling, start_errors_m: NDArray[np.float64]) -> Sequence[SlotPath | None]:
+    """The paths into the slots, by rising id; none where a slot is too far away, which `form` refuses."""
+    fleet = subject.fleet
+    ids = sorted(member.id for member in fleet.vehicles)
+    offsets_m: dict[int, Vector3] = {}
+    for i, (x, y, z) in zip(ids, start_errors_m.tolist(), strict=True):
+        offsets_m[i] = (x, y, z if fleet.law.altitude == "formation" else 0.0)
+    leader = ids[int(np.flatnonzero(coupling.is_leader)[0])]
+    led = subject.link_s < ATTITUDE_LOOPS[subject.autopilot].engages_s
+    try:
+        found = paths_into_slots(offsets_m, leader, coupling.law.gains, fleet.slot_speed_m_s, led=led)
+    except Refused:
+        return ()
+    return [found[i] for i in ids] if any(found.values()) else ()
+
+
+def _leader_settle_s(subject: Subject, law: FormationLaw, start_error_m: float) -> float | None:
+    alone, model = couple({1: []}, {1}, law), subject.model(subject.link_s)
+    return settled_after_s(errors_over_time(alone, np.array([[start_error_m]]), model, PREDICT_S), SETTLED_WITHIN_M)
+
+
+def _more_velocity_gain_helps(couplings: list[Coupling], models: list[LinearModel], margin_s: float) -> bool:
+    """Whether the margin grows with MORE gain on velocity; where there is none, whether that without lag does."""
+    more = [_more_velocity_gain(one) for one in couplings]
+    if margin_s > 0.0:
+        return are_stable(more, models, margin_s)
+    return _delay_margin_s(more[0]) > _delay_margin_s(couplings[0])
+
+
+def _delay_margin_s(coupling: Coupling) -> float:
+    """Without lag and link."""
+    return min(mode_figures(coupling.law.gains, float(value)).delay_margin_s for value in mode_eigenvalues(coupling))
 
 
 def _more_velocity_gain(coupling: Coupling) -> Coupling:
@@ -293,8 +483,8 @@ def _more_velocity_gain(coupling: Coupling) -> Coupling:
     return replace(coupling, law=replace(coupling.law, gains=more))
 
 
-def _worst_transient_peak(coupling: Coupling) -> float | None:
-    return worst_transient_peak(coupling, MODEL) if len(coupling.G) <= WORST_START_UP_TO else None
+def _worst_transient_peak(coupling: Coupling, model: LinearModel) -> float | None:
+    return worst_transient_peak(coupling, model) if len(coupling.G) <= WORST_START_UP_TO else None
 
 
 def _start_errors_m(subject: Subject) -> NDArray[np.float64]:
@@ -305,28 +495,21 @@ def _start_errors_m(subject: Subject) -> NDArray[np.float64]:
     return np.array(rows, dtype=float)
 
 
-def _distances_m(fleet: FleetConfig, graph: Graph, errors_m: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Distance of every pair of neighbours over time (ticks,)."""
-    slots = {member.id: np.array(member.slot_enu_m) for member in fleet.vehicles}
-    ids = sorted(slots)
-    column = {vehicle_id: index for index, vehicle_id in enumerate(ids)}
-    return {
-        f"{i}-{j}": np.linalg.norm(errors_m[:, column[i]] - errors_m[:, column[j]] + slots[i] - slots[j], axis=1)
-        for i in ids
-        for j in sorted(graph[i])
-        if i < j
-    }
+def _extremes_m(fleet: FleetConfig, errors_m: NDArray[np.float64]) -> dict[tuple[int, int], tuple[float, float]]:
+    """Smallest and largest distance of every pair."""
+    slots = sorted((member.id, member.slot_enu_m) for member in fleet.vehicles)
+    along_m = {i: errors_m[:, column].T + np.array(slot)[:, np.newaxis] for column, (i, slot) in enumerate(slots)}
+    found = {}
+    for i, j in combinations(along_m, 2):
+        x, y, z = along_m[i] - along_m[j]
+        apart_m2 = x * x + y * y + z * z
+        found[i, j] = (sqrt(apart_m2.min()), sqrt(apart_m2.max()))
+    return found
 
 
-def _extremes_m(
-    distances_m: Mapping[str, NDArray[np.float64]] | None, extreme: Callable[[NDArray[np.float64]], float]
-) -> dict[str, float] | None:
-    return None if distances_m is None else {pair: round(float(extreme(d)), 4) for pair, d in distances_m.items()}
-
-
-def _margin_to_range_m(fleet: FleetConfig, distances_m: Mapping[str, NDArray[np.float64]]) -> float | None:
+def _margin_to_range_m(fleet: FleetConfig, extremes_m: Iterable[tuple[float, float]]) -> float | None:
     """Range + hysteresis minus the largest distance of any pair of neighbours; None with edges."""
     if isinstance(fleet.neighbours, EdgeNeighbours):
         return None
     leave_m = fleet.neighbours.range_m + fleet.neighbours.hysteresis_m
-    return leave_m - max(float(d.max()) for d in distances_m.values())
+    return leave_m - max(most_m for _, most_m in extremes_m)

@@ -8,25 +8,27 @@ from textwrap import wrap
 
 import numpy as np
 
-from companion.tools.analysis import ERROR_TURNS_S, MODEL, PREDICT_S, STEP_M, VELOCITY_ERROR_M_S, Analysis, LawAnalysis
+from companion.analysis.response import ATTITUDE_LOOPS, LATE_LINK_S, TICK_S
+from companion.geometry.formations import ROUNDING_M
+from companion.tools.analysis import ERROR_TURNS_S, PREDICT_S, STEP_M, VELOCITY_ERROR_M_S, Analysis, LawAnalysis
+from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code, Notice
 
 BADLY_DAMPED = 0.3
-CLOSE_M = 0.8
 GROWS = 1.2  # string gain to the last vehicle; 1 is perfect, and up to this value the difference is not visible
-LATE_LINK_S = 0.1
 DEEP = 0.5  # time for a motion to reach the last vehicle, in settling times of a leader alone
 SMALL_DELAY_MARGIN_S = 0.15  # three times the usual loop delay
 WHOLE_UP_TO = 20  # vehicles; a larger matrix does not fit a screen
 A_LINE = 8  # vehicles per line
 COLUMNS = 100
 
+LAG_S = 1.0 / ATTITUDE_LOOPS[AutopilotKind.PX4].tilt_gain_1_s
 LEGEND = f"""\
   lambda_min: the smallest eigenvalue of G; the larger, the faster errors decay
   damping: 1 is critical, 0 is an undamped oscillation
-  no lag: without the attitude lag; all else is with a lag of {MODEL.attitude_lag_s:g} s and a loop delay of
-    {MODEL.delay_s:g} s; the stand-ins follow faster, and large fleets settle sooner there
-  delay margin: the loop delay above which the formation is unstable
+  no lag: without attitude lag and link; all else is with the attitude loop as measured, {LAG_S:.2f} s of PX4
+  delay margin: the delay on board above which the formation is unstable, with the links of the scenario,
+    or with any up to {LATE_LINK_S:g} s where it has none
   string gain: factor by which an oscillation grows on its way from the leader, at the frequency
     where it grows most
   alpha, rho, gamma: exponent, weight_ratio and feedforward of the law; gamma is the share of the
@@ -84,39 +86,38 @@ def _warnings(analysis: Analysis) -> Iterator[Notice]:
     if not law.stable:
         yield Notice(Code.FORMATION_UNSTABLE, _unstable(analysis, law))
         return
-    yield from _slow_or_badly_damped(law)
+    yield from _slow_or_badly_damped(analysis, law)
     yield from _grows(analysis, law)
     yield from _too_deep(analysis, law)
-    yield from _too_far_or_too_close(law)
+    yield from _too_far_or_too_close(analysis, law)
     yield from _better_leader(analysis)
 
 
 def _unstable(analysis: Analysis, law: LawAnalysis) -> str:
-    others = [name for name, other in analysis.laws.items() if other.delay_margin_with_lag_s >= SMALL_DELAY_MARGIN_S]
+    others = [
+        name
+        for name, other in analysis.laws.items()
+        if other.stable and other.delay_margin_with_lag_s >= SMALL_DELAY_MARGIN_S
+    ]
     other = f"; {' and '.join(others)} would be stable, with the gains above" if others else ""
+    links, helps = f"links of {analysis.latest_link_s:g} s", _for_the_margin(law)
     if law.delay_margin_with_lag_s > 0.0:
         return (
-            f"unstable with the usual delay, and so it cannot converge: errors grow without limit from a loop delay of "
-            f"{law.delay_margin_with_lag_s:.3f} s on, and {MODEL.delay_s:g} s is usual; {_for_the_margin(law)}{other}"
+            f"unstable with the delays of its flight, and so it cannot converge: with {links} errors grow without limit from a"
+            f" loop delay of {law.delay_margin_with_lag_s:.3f} s on, and it must be stable with {analysis.least_margin_s:.3f}"
+            f" s; {helps}{other}"
         )
-    ratio_s = law.gain_velocity_1_s / law.gain_position_1_s2
     return (
-        f"unstable with the attitude lag alone, and so it cannot converge: errors grow without limit even without delay; "
-        f"{_for_the_margin(law)}: the gain on velocity over that on position is {ratio_s:.2g} s and must be well above the "
-        f"lag of {MODEL.attitude_lag_s:g} s{other}"
+        f"unstable with the attitude lag alone, and so it cannot converge: with {links} errors grow without limit even without"
+        f" delay; {helps}{other}"
     )
 
 
 def _for_the_margin(law: LawAnalysis) -> str:
     """Which gains to change for a larger delay margin: more damping or a slower loop."""
-    if _velocity_gain_helps(law):
+    if law.more_velocity_gain_helps:
         return "more gain on velocity or less on position helps"
     return "less gain on both velocity and position helps"
-
-
-def _velocity_gain_helps(law: LawAnalysis) -> bool:
-    margin_s = law.delay_margin_with_lag_s
-    return margin_s == 0.0 or law.delay_margin_more_velocity_gain_s > margin_s
 
 
 def _for_damping(law: LawAnalysis) -> list[str]:
@@ -125,12 +126,12 @@ def _for_damping(law: LawAnalysis) -> list[str]:
     Less gain on position always does. More gain on velocity is advised only where the delay margin permits it.
     """
     spare = law.feedforward == 0.0 and law.delay_margin_with_lag_s >= SMALL_DELAY_MARGIN_S
-    if spare or _velocity_gain_helps(law):
+    if spare or law.more_velocity_gain_helps:
         return ["more gain on velocity", "less on position"]
     return ["less gain on position"]
 
 
-def _slow_or_badly_damped(law: LawAnalysis) -> Iterator[Notice]:
+def _slow_or_badly_damped(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
     if law.damping_min < BADLY_DAMPED:
         yield Notice(
             Code.BADLY_DAMPED,
@@ -140,11 +141,11 @@ def _slow_or_badly_damped(law: LawAnalysis) -> Iterator[Notice]:
     if law.delay_margin_with_lag_s < SMALL_DELAY_MARGIN_S:
         yield Notice(
             Code.SMALL_DELAY_MARGIN,
-            f"small delay margin: a loop delay of {law.delay_margin_with_lag_s:.3f} s makes it unstable, and "
-            f"{MODEL.delay_s:g} s is usual; {_for_the_margin(law)}",
+            f"small delay margin: with links of {analysis.latest_link_s:g} s a loop delay of {law.delay_margin_with_lag_s:.3f}"
+            f" s makes it unstable, and it must be stable with {analysis.least_margin_s:.3f} s; {_for_the_margin(law)}",
         )
     if law.predicted_settle_s is None:
-        text = f"not within 10 cm after {PREDICT_S:g} s, by the linear model with attitude lag and delay"
+        text = f"not within 10 cm after {PREDICT_S:g} s, by the linear model with attitude lag and delays"
         yield Notice(Code.SETTLES_SLOWLY, text)
 
 
@@ -173,7 +174,7 @@ def _settles_as_soon(other: LawAnalysis, law: LawAnalysis) -> bool:
 
 
 def _too_deep(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
-    late_s = analysis.hops * MODEL.feedforward_delay_s
+    late_s = analysis.hops * TICK_S
     if law.leader_step_settle_s is None or late_s < DEEP * law.leader_step_settle_s:
         return
     yield Notice(
@@ -185,7 +186,7 @@ def _too_deep(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
     )
 
 
-def _too_far_or_too_close(law: LawAnalysis) -> Iterator[Notice]:
+def _too_far_or_too_close(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
     if law.margin_to_range_m is not None and law.margin_to_range_m < 0.0 and law.predicted_max_distance_m:
         pair, distance_m = max(law.predicted_max_distance_m.items(), key=lambda item: item[1])
         yield Notice(
@@ -194,11 +195,14 @@ def _too_far_or_too_close(law: LawAnalysis) -> Iterator[Notice]:
             "range, and the prediction after that does not hold; start closer, move the reference slower, or give the edges "
             "explicitly",
         )
-    if law.predicted_min_distance_m:
-        pair, distance_m = min(law.predicted_min_distance_m.items(), key=lambda item: item[1])
-        if distance_m < CLOSE_M:
-            text = f"neighbours come close: {pair} within {distance_m:.2f} m; use more spacing or better damping"
-            yield Notice(Code.NEIGHBOURS_TOO_CLOSE, text)
+    closest_m = law.law_alone_distance_m
+    if closest_m is not None and closest_m < analysis.separation_m - ROUNDING_M:
+        text = (
+            f"vehicles come close: with the law alone {law.smallest_distance_of} would come within {closest_m:.2f} m of each"
+            f" other, separation_m is {analysis.separation_m:g}; the separation filter keeps them apart, and they settle at"
+            " another time than predicted; use more spacing or better damping"
+        )
+        yield Notice(Code.NEIGHBOURS_TOO_CLOSE, text)
 
 
 def _better_leader(analysis: Analysis) -> Iterator[Notice]:
@@ -239,6 +243,7 @@ def _law_table(analysis: Analysis) -> list[str]:
     add("settled to 10 cm [s]", lambda law: _number(law.predicted_settle_s, 1), of_stable=True)
     add("  a leader alone [s]", lambda law: _number(law.leader_settle_s, 1), of_stable=True)
     add("largest distance of neighbours [m]", lambda law: _extreme(law.predicted_max_distance_m, max), of_stable=True)
+    add("smallest distance of all [m]", _smallest, of_stable=True)
     add("smallest distance of neighbours [m]", lambda law: _extreme(law.predicted_min_distance_m, min), of_stable=True)
     if any(law.margin_to_range_m is not None for law in laws):
         add("margin to the range [m]", lambda law: _gain(law.margin_to_range_m), of_stable=True)
@@ -253,8 +258,8 @@ def _law_table(analysis: Analysis) -> list[str]:
 def _start(analysis: Analysis) -> list[str]:
     moves = "; the reference is at rest at its start, though it moves in flight" if analysis.reference_moves else ""
     text = (
-        f"this start, and the rows below it: predicted over {PREDICT_S:g} s from rest, the farthest vehicle "
-        f"{analysis.start_error_m:.2f} m from its slot{moves}"
+        f"this start, and the rows below it: predicted over {PREDICT_S:g} s from rest as it flies, with links of "
+        f"{analysis.link_s:g} s, the farthest vehicle {analysis.start_error_m:.2f} m from its slot{moves}"
     )
     return wrap(text, COLUMNS, initial_indent="  ", subsequent_indent="    ")
 
@@ -283,6 +288,11 @@ def _extreme(distances_m: dict[str, float] | None, choose: Callable[..., tuple[s
         return "-"
     pair, value = choose(distances_m.items(), key=lambda item: item[1])
     return f"{value:.2f} ({pair})"
+
+
+def _smallest(law: LawAnalysis) -> str:
+    distance_m = law.predicted_smallest_distance_m
+    return "-" if distance_m is None else f"{distance_m:.2f} ({law.smallest_distance_of})"
 
 
 def _gain(value: float | None) -> str:

@@ -14,15 +14,14 @@ from typing import Any
 
 from msgspec import Struct
 
-from companion.analysis.interaction import couple, mode_eigenvalues, mode_figures
-from companion.analysis.margins import delay_margin_with_lag_s, string_gains
-from companion.analysis.response import Graph, LinearModel, reached_from
+from companion.analysis.interaction import Coupling, couple, mode_eigenvalues, mode_figures
+from companion.analysis.margins import least_delay_margin_s, string_gains
+from companion.analysis.response import AUTOPILOT_STEP_S, SPARE_S, LinearModel, flown_model, links_borne_s, reached_from
 from companion.assembly import law_of
 from companion.config.file import ConfigError
 from companion.config.fleet import LawName
-from companion.config.planned_flight import neighbour_graph
+from companion.config.planned_flight import graph_in_slots, neighbour_graph
 from companion.config.reference import TargetReference
-from companion.core.consensus.law import FormationLaw
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.tools.analysis_report import BADLY_DAMPED, GROWS, SMALL_DELAY_MARGIN_S
 from companion.types.commands import CommandName
@@ -50,8 +49,6 @@ from sitl.report.metrics import (
 from sitl.report.progress import FlightProgress
 from sitl.report.summary import RunSummary, TickFigures, VehicleSummary, in_words, write_json
 from sitl.stopping import StopRequest
-
-MODEL = LinearModel()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,28 +87,42 @@ def check_convergence(scenario: Scenario) -> list[Notice]:
         ids = ", ".join(map(str, unreached))
         text = f"no path leads from a leader to vehicle {ids}; add an edge, more range, or a leader among them"
         raise _diverges(Notice(Code.NO_PATH_TO_LEADER, text))
-    margin_s = delay_margin_with_lag_s(couple(graph, leaders, law), MODEL)
-    if margin_s <= MODEL.delay_s:
+    couplings = [
+        couple(each, leaders, law)
+        for each in (graph, graph_in_slots(fleet))
+        if len(reached_from(each, leaders)) == len(graph)
+    ]
+    link_s = scenario.links.peer_delay_s + 0.5 * scenario.links.peer_jitter_s
+    models = [_model(scenario, borne_s) for borne_s in links_borne_s(link_s)]
+    margin_s, least_s = least_delay_margin_s(couplings, models), models[0].delay_s + SPARE_S
+    if margin_s <= least_s:
         text = (
-            f"{fleet.law.name} is unstable from a loop delay of {margin_s:.3f} s on, and {MODEL.delay_s:g} s is usual;"
-            " change the gains or the law"
+            f"{fleet.law.name} is unstable from a loop delay of {margin_s:.3f} s on with links of"
+            f" {max(links_borne_s(link_s)):g} s, and must be stable with {least_s:.3f} s; change the gains or the law"
         )
         raise _diverges(Notice(Code.FORMATION_UNSTABLE, text))
-    return _warnings(graph, leaders, law, margin_s)
+    return _warnings(couplings[0], margin_s, _model(scenario, link_s))
+
+
+def _model(scenario: Scenario, link_s: float) -> LinearModel:
+    """The model of the scenario's vehicles with this link."""
+    links, airframe = scenario.links, scenario.stand_in.airframe
+    on_board_s = AUTOPILOT_STEP_S + links.telemetry_delay_s + links.setpoint_delay_s
+    return flown_model(scenario.stand_in.autopilot, link_s, airframe.drag_n_per_m_s / airframe.mass_kg, on_board_s)
 
 
 def _diverges(notice: Notice) -> DivergesError:
     return DivergesError(f"{notice}; `companion analyze` shows more, and --anyway flies it")
 
 
-def _warnings(graph: Graph, leaders: list[int], law: FormationLaw, margin_s: float) -> list[Notice]:
-    coupling, warnings = couple(graph, leaders, law), []
-    damping = min(mode_figures(law.gains, float(value)).damping for value in mode_eigenvalues(coupling))
+def _warnings(coupling: Coupling, margin_s: float, model: LinearModel) -> list[Notice]:
+    warnings = []
+    damping = min(mode_figures(coupling.law.gains, float(value)).damping for value in mode_eigenvalues(coupling))
     if damping < BADLY_DAMPED:
         warnings.append(Notice(Code.BADLY_DAMPED, f"smallest damping {damping:.2f}, 1 is critical"))
     if margin_s < SMALL_DELAY_MARGIN_S:
         warnings.append(Notice(Code.SMALL_DELAY_MARGIN, f"unstable from a loop delay of {margin_s:.3f} s on"))
-    gain = string_gains(coupling, MODEL)
+    gain = string_gains(coupling, model)
     if gain and gain.to_last > GROWS:
         text = f"an oscillation of the leader is up to {gain.to_last:.2f} times as large at the last vehicle"
         warnings.append(Notice(Code.ERRORS_GROW, text))

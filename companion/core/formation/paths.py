@@ -99,6 +99,32 @@ def law_within_m(gains: Gains, speed_m_s: float) -> float:
 
 SPREAD = 1.0 / 3.0  # offsets may differ by this share of the distance that the law settles, as its paths bend
 SLACK = 1.15  # factor on the duration, so that a vehicle that enters later still ends with the leader
+
+
+def law_settles(farthest_m: float, differ_m: float, within_m: float) -> bool:
+    """Whether the law alone settles offsets up to `farthest_m` that differ by `differ_m`. `within_m`: see `law_within_m`."""
+    return farthest_m <= within_m and differ_m <= SPREAD * within_m
+
+
+def needed_s(distance_m: float, speed_m_s: float) -> float:
+    """The shortest duration of a path of this length."""
+    return max(SHORTEST_S, duration_s(distance_m, speed_m_s, SLOT_ACCELERATION_M_S2))
+
+
+def together_s(farthest_m: float, speed_m_s: float) -> float:
+    """The duration of all paths where the farthest vehicle has this way."""
+    return min(SLACK * needed_s(farthest_m, speed_m_s), LONGEST_S)
+
+
+def followers_path(own: Offset, speed_m_s: float, within_m: float, ends_in_s: float) -> Path | None:
+    """The path that ends in `ends_in_s` with that of the leader; None where that flies none and this vehicle is near.
+
+    Raises Refused for a slot that is too far away.
+    """
+    near = own.distance_m <= SPREAD * within_m and own.speed_m_s <= speed_m_s
+    return None if near and ends_in_s == 0.0 else gentle_path(own, speed_m_s, ends_in_s)
+
+
 BELIEVED = 2.0  # times what the farthest vehicle needs: a peer that publishes a longer duration is wrong
 PATH_MARGIN_M = 0.05  # a path counts where it is nearer than both its ends by this; slots too close are another check
 PATH_SAMPLES = 40
@@ -145,10 +171,9 @@ class FormingTogether:
         offsets = [own, *(self._peer_offset(now, fleet, peer) for peer in now.peers if peer.packet.phase in forming)]
         differ_m = max(dist(own.position_m, offset.position_m) for offset in offsets)
         farthest_m = max(offset.distance_m for offset in offsets)
-        near = farthest_m <= self._law_within_m and differ_m <= SPREAD * self._law_within_m
-        if near and own.speed_m_s <= self._speed_m_s:
+        if law_settles(farthest_m, differ_m, self._law_within_m) and own.speed_m_s <= self._speed_m_s:
             return None
-        return gentle_path(own, self._speed_m_s, min(SLACK * self._needed_s(farthest_m), LONGEST_S))
+        return gentle_path(own, self._speed_m_s, together_s(farthest_m, self._speed_m_s))
 
     def longest_s(self, now: Entering, fleet: FormationState) -> float:
         """The longest duration that a path of these vehicles may have. One packet may report any."""
@@ -157,15 +182,8 @@ class FormingTogether:
         return BELIEVED * self._needed_s(max(offset.distance_m for offset in offsets))
 
     def followers_path(self, now: Entering, fleet: FormationState, ends_in_s: float) -> Path | None:
-        """The path that ends in `ends_in_s` with that of the leader; None where that flies none and this vehicle is near.
-
-        Raises Refused for a slot that is too far away.
-        """
-        own = self._own_offset(now, fleet)
-        near = own.distance_m <= SPREAD * self._law_within_m and own.speed_m_s <= self._speed_m_s
-        if near and ends_in_s == 0.0:
-            return None
-        return gentle_path(own, self._speed_m_s, ends_in_s)
+        """See `followers_path`; `fleet` is the state of the RFT as the fleet flies it."""
+        return followers_path(self._own_offset(now, fleet), self._speed_m_s, self._law_within_m, ends_in_s)
 
     def refusal(
         self, now: Entering, fleet: FormationState, path: Path | None, forming: Collection[FlightPhase]
@@ -222,7 +240,7 @@ class FormingTogether:
         return Offset((x, y, 0.0), (vx, vy, 0.0))
 
     def _needed_s(self, distance_m: float) -> float:
-        return max(SHORTEST_S, duration_s(distance_m, self._speed_m_s, SLOT_ACCELERATION_M_S2))
+        return needed_s(distance_m, self._speed_m_s)
 
     def peers_path(self, now: Entering, fleet: FormationState, peer: PeerState, lasts_s: float) -> Curve:
         """Offset of a peer from its slot over time: the rest of its published path, or a path as long as the own one."""

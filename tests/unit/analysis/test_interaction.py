@@ -15,7 +15,6 @@ from companion.analysis.interaction import (
     couple,
     eigenvalues,
     interaction_matrix,
-    lag_margin_s,
     mode_eigenvalues,
     mode_figures,
     time_to_shrink_s,
@@ -141,10 +140,9 @@ def test_corollary_1_fails_for_an_overdamped_mode() -> None:
     assert mode_figures(K, 4.5).rate_1_s < 0.6 * 4.5
 
 
-def test_delay_and_lag_margins_of_one_mode() -> None:
+def test_delay_margins_of_one_mode() -> None:
     assert mode_figures(K, 3.0).delay_margin_s == pytest.approx(0.34, abs=0.005)
     assert mode_figures(K, 0.0789).delay_margin_s == pytest.approx(0.81, abs=0.04)
-    assert lag_margin_s(K) == pytest.approx(0.86, abs=0.005)
 
 
 def test_matrix_of_a_single_vehicle() -> None:

@@ -1,6 +1,7 @@
 """String gain, transient peak and delay margin against closed forms and against the prediction."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,10 @@ from companion.analysis.margins import (
     delay_margin_with_lag_s,
     is_stable,
     response,
-    state_matrix,
     string_gains,
-    worst_transient_peak,
 )
-from companion.analysis.prediction import errors_over_time
-from companion.analysis.response import LinearModel
+from companion.analysis.prediction import errors_over_time, worst_transient_peak
+from companion.analysis.response import LinearModel, flown_model
 from companion.cli.main import main
 from companion.core.consensus.law import (
     PAPER_GAINS,
@@ -124,20 +123,21 @@ def test_no_string_gain_when_all_vehicles_are_leaders() -> None:
 # ---------------------------------------------------------------- delay margin
 
 
+@pytest.mark.parametrize("model", [LinearModel(), flown_model(link_s=0.1)], ids=["lag", "flown"])
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("n", [1, 4, 9])
-def test_prediction_diverges_only_above_the_delay_margin(n: int, law: FormationLaw) -> None:
+def test_prediction_diverges_only_above_the_delay_margin(n: int, law: FormationLaw, model: LinearModel) -> None:
     coupling = chained(n, law)
-    margin_s = delay_margin_with_lag_s(coupling, LinearModel())
-    assert not grows(coupling, 0.98 * margin_s)
-    assert grows(coupling, 1.04 * margin_s)
-    assert is_stable(coupling, LinearModel(delay_s=0.97 * margin_s))
-    assert not is_stable(coupling, LinearModel(delay_s=1.1 * margin_s))
+    margin_s = delay_margin_with_lag_s(coupling, model)
+    assert not grows(coupling, replace(model, delay_s=0.98 * margin_s))
+    assert grows(coupling, replace(model, delay_s=1.04 * margin_s))
+    assert is_stable(coupling, replace(model, delay_s=0.97 * margin_s))
+    assert not is_stable(coupling, replace(model, delay_s=1.1 * margin_s))
 
 
-def grows(coupling: Coupling, delay_s: float) -> bool:
+def grows(coupling: Coupling, model: LinearModel) -> bool:
     start_m = np.linspace(-0.3, 1.0, len(coupling.G))[:, np.newaxis]
-    errors_m = np.abs(errors_over_time(coupling, start_m, LinearModel(delay_s=delay_s), 240.0)).max(axis=(1, 2))
+    errors_m = np.abs(errors_over_time(coupling, start_m, model, 240.0)).max(axis=(1, 2))
     quarter = len(errors_m) // 4
     return bool(errors_m[-quarter:].max() > errors_m[-2 * quarter : -quarter].max())
 
@@ -180,25 +180,14 @@ def test_worst_start_bounds_all_unit_starts(law: FormationLaw) -> None:
         (3, FormationLaw(Gains(10.0, 1.0), Weighting(8.0), True, 0.9)),
     ],
 )
-def test_unstable_formation_has_no_string_gain_and_no_worst_start(n: int, law: FormationLaw) -> None:
+def test_unstable_formation_has_no_string_gain(n: int, law: FormationLaw) -> None:
     coupling = chained(n, law)
     assert not is_stable(coupling, LinearModel())
     assert string_gains(coupling, LinearModel()) is None
-    assert worst_transient_peak(coupling, LinearModel()) is None
-
-
-@pytest.mark.parametrize("n", [1, 2, 5])
-@pytest.mark.parametrize("law", LAWS)
-def test_stability_by_modes_equals_stability_of_the_whole(n: int, law: FormationLaw) -> None:
-    for delay_s in (0.05, 0.2, 0.25, 0.3, 0.4):
-        model = LinearModel(delay_s=delay_s)
-        whole = np.linalg.eigvals(state_matrix(chained(n, law), model)).real.max()
-        assert is_stable(chained(n, law), model) is bool(whole < 0.0)
 
 
 def test_worst_start_of_a_stable_chain_can_be_large() -> None:
     peak = worst_transient_peak(chained(60, weighted(PAPER_GAINS, 16.0)), LinearModel())
-    assert peak is not None
     assert 1e6 < peak < np.inf
 
 
@@ -231,7 +220,7 @@ def test_analyze_compares_all_four_laws(capsys: pytest.CaptureFixture[str]) -> N
     assert list(laws) == ["cooperative", "weighted", "average_22", "average_26"]
     for law in laws.values():
         assert law["string_gain_to_last"] >= law["string_gain_per_hop"] >= 1.0
-        assert 0.2 < law["delay_margin_with_lag_s"] < law["delay_margin_s"] + 0.01
+        assert 0.15 < law["delay_margin_with_lag_s"] < law["delay_margin_s"] + 0.01
         assert law["worst_transient_peak"] >= 1.0
         assert law["transient_peak"] <= 1.02 * law["worst_transient_peak"]
     assert laws["cooperative"]["string_gain_to_last"] < 0.5 * laws["weighted"]["string_gain_to_last"]
@@ -254,10 +243,11 @@ def test_growing_errors_are_reported_with_remedies(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("gains", "said", "code"),
     [
-        ({"position_1_s2": 3.0, "velocity_1_s": 4.0}, "small delay margin", 0),
+        ({"position_1_s2": 3.0, "velocity_1_s": 1.2}, "small delay margin", 0),
         ({"position_1_s2": 10.0, "velocity_1_s": 1.0}, "unstable with the attitude lag alone", 1),
-        ({"position_1_s2": 10.0, "velocity_1_s": 10.0}, "unstable with the usual delay", 1),
-        ({"position_1_s2": 1e-9, "velocity_1_s": 10.0}, "unstable with the usual delay", 1),
+        ({"position_1_s2": 10.0, "velocity_1_s": 10.0}, "unstable with the attitude lag alone", 1),
+        ({"position_1_s2": 1e-9, "velocity_1_s": 10.0}, "unstable with the attitude lag alone", 1),
+        ({"position_1_s2": 2.2, "velocity_1_s": 2.6}, "unstable with the delays of its flight", 1),
         ({"position_1_s2": 1e-9, "velocity_1_s": 1.0}, "not within 10 cm", 0),
         ({"position_1_s2": 10.0, "velocity_1_s": 1e-9}, "unstable with the attitude lag alone", 1),
     ],
