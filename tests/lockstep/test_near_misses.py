@@ -2,7 +2,8 @@
 
 `hold_in_front`: the front vehicle of two at 2.3 m/s is commanded to hold. `pilot_in_front`: a pilot turns a vehicle towards its
 neighbour and brakes. `split_exchange`: the network splits for 4.5 s while three vehicles exchange slots. `pressed_up`: a pilot
-climbs from straight below a vehicle that is 0.1 m under the fence's ceiling less the clearance.
+climbs from straight below a vehicle that is 0.1 m under the fence's ceiling less the clearance. `return_in_turn`: of three
+abreast that fly on, the leader without successors returns, and 1 s later its neighbour, whose path home would begin farther on.
 """
 
 from functools import cache
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from companion.types.notices import Code
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
 from sitl.gauntlet.flight import distances
@@ -45,3 +47,14 @@ def test_a_vehicle_that_is_pressed_up_goes_aside_below_the_ceiling() -> None:
     envelope, track = scenario.fleet.envelope, flight.tracks()[1].position_enu_m
     assert track[:, 2].max() < envelope.fence_max_enu_m[2] - envelope.clearance_m + OVERSHOOT_M
     assert abs(track[:, 0]).max() > scenario.fleet.separation_m
+
+
+def test_two_of_a_moving_formation_that_return_one_after_the_other_stay_apart() -> None:
+    """Also while both fly by their autopilots: the agents chose to hand over. It was 0.97 of separation_m, both accepted."""
+    scenario, flight = flown("return_in_turn")
+    assert flight.failure is None
+    nearest = distances(flight.stand_ins, {1, 2, 3}).commanded
+    assert nearest is not None
+    assert nearest.distance_m >= scenario.fleet.separation_m
+    warned = {event.vehicle for event in flight.watch.events if event.code is Code.NO_SUCCESSOR}
+    assert warned == {1}  # and it returns
