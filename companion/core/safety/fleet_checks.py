@@ -226,7 +226,7 @@ def _joined(notices: Collection[Notice]) -> Notice | None:
 
 def brakes_from_m_s(braking_m_s2: float, margin_m: float) -> float:
     """The speed that a vehicle reaches or brakes from within the margin: it keeps off one that comes with no more."""
-    return sqrt(2.0 * braking_m_s2 * max(margin_m, 0.0))
+    return sqrt(2.0 * braking_m_s2 * margin_m)
 
 
 def slow_to_brake(
@@ -240,17 +240,17 @@ def slow_to_brake(
     nearest = min(apart_m, key=apart_m.__getitem__, default=None)
     if nearest is None:
         return None
-    margin_m = apart_m[nearest] - separation_m
+    margin_m = max(apart_m[nearest] - separation_m, 0.0)
     speed_m_s = brakes_from_m_s(braking_m_s2, margin_m)
     if speed_m_s >= SLOW_M_S:
         return None
-    wanted_m = separation_m + SLOW_M_S * SLOW_M_S / (2.0 * braking_m_s2)
+    wanted_m = separation_m + (SLOW_M_S * SLOW_M_S / (2.0 * braking_m_s2) if braking_m_s2 > 0.0 else inf)
     return Notice(
         Code.BRAKES_SLOWLY,
         f"braking: with max_tilt_deg {max_tilt_deg:g} vehicle {own_id} brakes by {braking_m_s2:.2f} m/s^2, and within the"
         f" {margin_m:.2f} m that its slot and that of vehicle {nearest} are farther apart than separation_m from"
         f" {speed_m_s:.2f} m/s; one that comes faster, as under a pilot, comes nearer; for {SLOW_M_S:g} m/s slots"
-        f" {wanted_m:.1f} m apart, or more tilt",
+        f" {wanted_m:.3g} m apart, or more tilt",
     )
 
 

@@ -197,7 +197,7 @@ def test_a_vehicle_with_little_tilt_says_from_which_speed_it_can_brake() -> None
     assert warning.text == (
         "braking: with max_tilt_deg 5 vehicle 2 brakes by 0.26 m/s^2, and within the 1.00 m that its slot and that of"
         " vehicle 1 are farther apart than separation_m from 0.72 m/s; one that comes faster, as under a pilot, comes"
-        " nearer; for 1 m/s slots 2.9 m apart, or more tilt"
+        " nearer; for 1 m/s slots 2.94 m apart, or more tilt"
     )
 
 
@@ -211,6 +211,7 @@ def test_little_tilt_needs_slots_that_are_far_apart(margin_m: float, tilt_deg: f
 
 def test_slots_at_the_separation_leave_no_speed_and_one_vehicle_needs_none() -> None:
     assert code_of(braked(0.0, 45.0)) is Code.BRAKES_SLOWLY
+    assert "slots inf m apart" in str(braked(1.0, 5e-324))  # the smallest tilt that a file may hold
     assert slow_to_brake(2, {2: (0.0, 0.0, 0.0)}, 1.0, 0.1, 3.0) is None
 
 
