@@ -17,7 +17,7 @@ PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
     "arguments",
     [
         ("companion", "analyze", PLATOON),
-        ("sitl", "sweep", PLATOON, "--seeds", "1", "--seconds", "2"),
+        ("sitl", "sweep", PLATOON, "--seeds", "1", "--seconds", "2", "--quiet"),
     ],
 )
 def test_a_closed_pipe_is_no_traceback(arguments: tuple[object, ...], tmp_path: Path) -> None:
