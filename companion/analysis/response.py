@@ -126,6 +126,13 @@ def reached_from(graph: Graph, leaders: Collection[int]) -> set[int]:
     return set(hops(graph, leaders))
 
 
+def flown_graphs(at_start: Graph, in_slots: Graph, leaders: Collection[int]) -> Sequence[Graph]:
+    """Those that a law must be stable with: at the start, and in the slots if they differ and are all in range there."""
+    if in_slots == at_start or len(reached_from(in_slots, leaders)) < len(in_slots):
+        return (at_start,)
+    return (at_start, in_slots)
+
+
 def hops(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
     """Hops to the nearest leader, for each vehicle with a path to one."""
     found = dict.fromkeys(leaders, 0)

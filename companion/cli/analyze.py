@@ -46,9 +46,10 @@ def _run_analyze(options: argparse.Namespace) -> int:
 
     import msgspec
 
-    from companion.tools.analysis import analyse, load_subject
+    from companion.tools.analysis import analyse
     from companion.tools.analysis_report import report, verdict
     from companion.tools.output import json_text
+    from companion.tools.subject import load_subject
 
     analysis = analyse(load_subject(options.file, options.overrides))
     if options.json:

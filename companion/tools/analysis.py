@@ -1,21 +1,20 @@
 """Analysis of a formation before its flight: fleet or scenario file -> figures. `companion analyze` prints them.
 
-The figures are of the linear model (companion/analysis/response.py): no noise, no saturation, no separation filter. What it
-predicts is what `sitl run` flies with ideal sensors; tests/bench/verdicts.py compares the two.
+The figures are of the linear model (companion/analysis/response.py): no noise, no saturation, and of the separation filter
+the distance alone that it keeps. What it predicts is what `sitl run` flies with ideal sensors; tests/bench/verdicts.py
+compares the two.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import dist, sqrt, tau
-from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Any, get_args
 
-import msgspec
 import numpy as np
-from msgspec import Meta, Struct, structs
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.analysis.interaction import (
@@ -40,59 +39,35 @@ from companion.analysis.prediction import (
 )
 from companion.analysis.response import (
     ATTITUDE_LOOPS,
-    AUTOPILOT_STEP_S,
-    ON_BOARD_S,
-    SPARE_S,
-    USUAL_DRAG_1_S,
-    USUAL_LINK_S,
     Graph,
     LinearModel,
-    flown_model,
+    flown_graphs,
     links_borne_s,
     reached_from,
     settled_prcs,
 )
-from companion.assembly import flyable_problems, law_of
-from companion.config.file import SET, convert, kind_of_file, override, read_as
+from companion.assembly import law_of
 from companion.config.fleet import EdgeNeighbours, FleetConfig, LawName
-from companion.config.fleet_check import fleet_problems
 from companion.config.planned_flight import (
-    PlannedFlight,
-    fleet_of,
     graph_in_slots,
     neighbour_graph,
-    planned_problems,
-    starts_of,
 )
-from companion.config.reference import Reference
-from companion.config.validation import Problem, each, unless_invalid
 from companion.core.consensus.law import FormationLaw, Gains
 from companion.core.filter.vehicles import PASSING_M, RIPPLE_M
 from companion.core.formation.paths import Path as SlotPath
 from companion.geometry.formations import to_separation_metric
-from companion.types.autopilot import AutopilotKind
+from companion.tools.subject import STEP_M, Subject
 from companion.types.flight import Role
 from companion.types.notices import Refused
-from companion.types.values import ZERO3, Vector3
+from companion.types.values import Vector3
 
 LAW_NAMES: tuple[LawName, ...] = get_args(LawName)
 AVERAGE_LAWS: tuple[LawName, ...] = ("average_22", "average_26")
 PREDICT_S = 120.0
 WORST_START_UP_TO = 100  # vehicles; for more the worst start takes too long to compute
 MORE = 0.1  # relative change of a gain that is tried
-# Sections of a scenario that are not read, as they are named: two are read in part.
-NOT_READ = {
-    "origins_enu_m": "origins_enu_m",
-    "stand_in": "stand_in but its autopilot and drag",
-    "assumed": "assumed",
-    "targets": "targets",
-    "links": "links but their peer_delay_s",
-    "timeline": "timeline",
-    "agent_ends": "agent_ends",
-}
 VELOCITY_ERROR_M_S = 0.1  # assumed error of an estimator's velocity against its own position
 ERROR_TURNS_S = 30.0
-STEP_M = 1.0  # step of the reference that is predicted for a fleet file, which has no start positions
 
 
 class LawAnalysis(Struct, frozen=True, kw_only=True):
@@ -168,143 +143,6 @@ class Analysis(Struct, frozen=True, kw_only=True):
     not_read: list[str]  # sections and keys of the file that are not used
 
 
-class _ScenarioPart(PlannedFlight, frozen=True, kw_only=True):
-    """A scenario. The fields of type Any belong to the flight and are not read."""
-
-    reference: Reference | None = None
-    origins_enu_m: Any = None
-    stand_in: Any = None  # and its autopilot alone
-    assumed: Any = None
-    targets: Any = None
-    links: Any = None  # and their peer_delay_s alone
-    timeline: Any = None
-    agent_ends: Any = None
-
-
-class _OfLinks(Struct, frozen=True):
-    telemetry_delay_s: Annotated[float, Meta(ge=0, le=1)] = 0.0003
-    setpoint_delay_s: Annotated[float, Meta(ge=0, le=1)] = 0.0005
-    peer_delay_s: Annotated[float, Meta(ge=0, le=1)] = USUAL_LINK_S
-    peer_jitter_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
-
-    @property
-    def link_s(self) -> float:
-        """On average."""
-        return self.peer_delay_s + 0.5 * self.peer_jitter_s
-
-    @property
-    def on_board_s(self) -> float:
-        return AUTOPILOT_STEP_S + self.telemetry_delay_s + self.setpoint_delay_s
-
-
-class _OfAirframe(Struct, frozen=True):
-    mass_kg: Annotated[float, Meta(gt=0)] = 1.0
-    drag_n_per_m_s: Annotated[float, Meta(ge=0)] = USUAL_DRAG_1_S
-
-
-class _OfStandIn(Struct, frozen=True):
-    autopilot: AutopilotKind = AutopilotKind.PX4
-    airframe: _OfAirframe = _OfAirframe()
-
-    @property
-    def drag_1_s(self) -> float:
-        return self.airframe.drag_n_per_m_s / self.airframe.mass_kg
-
-
-class Subject(Struct, frozen=True, kw_only=True):
-    """Input of the analysis: a fleet, its start positions and the position of its reference."""
-
-    file: Path
-    fleet: FleetConfig
-    starts_enu_m: Mapping[int, Vector3]
-    reference_enu_m: Vector3
-    reference_moves: bool = False
-    link_s: float = USUAL_LINK_S  # between its agents
-    on_board_s: float = ON_BOARD_S
-    autopilot: AutopilotKind = AutopilotKind.PX4
-    drag_1_s: float = USUAL_DRAG_1_S
-    not_read: Sequence[str] = ()
-    settings: Sequence[str] = ()
-
-    def model(self, link_s: float) -> LinearModel:
-        """The model of its vehicles with this link."""
-        return flown_model(self.autopilot, link_s, self.drag_1_s, self.on_board_s)
-
-    @property
-    def least_margin_s(self) -> float:
-        """The delay margin that its law must have."""
-        return self.model(self.link_s).delay_s + SPARE_S
-
-
-def load_subject(path: Path, overrides: Sequence[str] = ()) -> Subject:
-    """The subject of a scenario file, or of a fleet file, with overrides "KEY.PATH=VALUE" (a YAML value).
-
-    In a fleet file the vehicles start in formation, STEP_M behind the reference. Raises ConfigError.
-    """
-    data = read_as(path, "scenario", "fleet")
-    subject = subject_of(path, data)  # the file must be valid by itself, so that an error below is an override's
-    if not overrides:
-        return subject
-    data = override(data, overrides, "fleet.law.name=average_22, or law.name=average_22 in a fleet file")
-    return structs.replace(subject_of(SET, data), file=path, settings=tuple(overrides))
-
-
-def subject_of(path: Path, data: Any) -> Subject:
-    """The subject of the content of a file. `path` names it in errors. Raises ConfigError."""
-    if kind_of_file(data) != "scenario" and not (isinstance(data, dict) and "fleet" in data):
-        fleet = convert(path, data, FleetConfig, fleet_problems)
-        starts = {member.id: member.slot_enu_m for member in fleet.vehicles}
-        reference_enu_m, not_read = _a_step(fleet), _not_read(data, fleet, "")
-        return Subject(file=path, fleet=fleet, starts_enu_m=starts, reference_enu_m=reference_enu_m, not_read=not_read)
-    part = convert(path, data, _ScenarioPart, _problems)
-    fleet, stand_in, links = fleet_of(part.fleet), _part_of(part.stand_in, _OfStandIn), _part_of(part.links, _OfLinks)
-    return Subject(
-        file=path,
-        fleet=fleet,
-        starts_enu_m=_starts(part, fleet),
-        reference_enu_m=part.reference.start_enu_m if part.reference else _a_step(fleet),
-        reference_moves=part.reference is not None and part.reference.MOVES,
-        link_s=links.link_s,
-        on_board_s=links.on_board_s,
-        autopilot=stand_in.autopilot,
-        drag_1_s=stand_in.drag_1_s,
-        not_read=_not_read(data, fleet, "fleet."),
-    )
-
-
-Part = TypeVar("Part")
-
-
-def _part_of(section: Any, type_: type[Part]) -> Part:
-    """What is read of a section; its defaults where that is invalid: the flight reports it."""
-    try:
-        return msgspec.convert(section or {}, type_)
-    except msgspec.ValidationError:
-        return type_()
-
-
-def _starts(part: _ScenarioPart, fleet: FleetConfig) -> Mapping[int, Vector3]:
-    return starts_of(part, fleet, part.reference.start_enu_m if part.reference else ZERO3)
-
-
-def _problems(part: _ScenarioPart) -> Iterator[Problem]:
-    fleet = fleet_of(part.fleet)
-    yield from planned_problems(part, fleet, unless_invalid(lambda: _starts(part, fleet)))
-    if part.reference:
-        yield from each(flyable_problems(fleet, part.reference))
-
-
-def _not_read(data: Any, fleet: FleetConfig, where: str) -> list[str]:
-    """Keys of the file that the analysis does not use; it keeps the heading of the start."""
-    named = [name for section, name in NOT_READ.items() if section in data]
-    return named + [f"{where}formation_heading"] * fleet.slots_turn
-
-
-def _a_step(fleet: FleetConfig) -> Vector3:
-    """Reference position STEP_M ahead of vehicles that took off at their slots."""
-    return (STEP_M, 0.0, fleet.takeoff_height_m)
-
-
 def analyse(subject: Subject) -> Analysis:
     """All figures of one subject. A formation that cannot converge is a result, not an error."""
     fleet = subject.fleet
@@ -312,10 +150,8 @@ def analyse(subject: Subject) -> Analysis:
     leaders = [member.id for member in fleet.vehicles if member.role is Role.LEADER]
     graph = neighbour_graph(fleet.neighbours, _flying_positions(subject))
     unreached = sorted(set(ids) - reached_from(graph, leaders))
-    in_slots = graph_in_slots(fleet)
-    if len(reached_from(in_slots, leaders)) < len(ids):
-        in_slots = graph  # of the slots some are out of range
-    laws = {} if unreached else {name: _law_analysis(subject, (graph, in_slots), leaders, name) for name in LAW_NAMES}
+    graphs = flown_graphs(graph, graph_in_slots(fleet), leaders)
+    laws = {} if unreached else {name: _law_analysis(subject, graphs, leaders, name) for name in LAW_NAMES}
     own = law_of(fleet.law)
     by_leader = {
         i: float(eigenvalues(interaction_matrix(graph, {i}, own))[0])
@@ -351,13 +187,11 @@ def _flying_positions(subject: Subject) -> dict[int, Vector3]:
     return {i: (x, y, z + subject.fleet.takeoff_height_m) for i, (x, y, z) in subject.starts_enu_m.items()}
 
 
-def _law_analysis(
-    subject: Subject, graphs: tuple[Graph, Graph], leaders: Collection[int], name: LawName
-) -> LawAnalysis:
-    """`graphs` are those at the start and in the slots."""
+def _law_analysis(subject: Subject, graphs: Sequence[Graph], leaders: Collection[int], name: LawName) -> LawAnalysis:
+    """`graphs`: that at the start first, that in the slots last."""
     law = law_of(subject.fleet.law.with_name(name))
-    coupling, in_slots = (couple(graph, leaders, law) for graph in graphs)
-    flown = [coupling, in_slots] if graphs[0] != graphs[1] else [coupling]
+    flown = [couple(graph, leaders, law) for graph in graphs]
+    coupling, in_slots = flown[0], flown[-1]
     spectrum = eigenvalues(coupling.G)
     modes = [mode_figures(law.gains, float(value)) for value in mode_eigenvalues(coupling)]
     rate_1_s = min(mode.rate_1_s for mode in modes)

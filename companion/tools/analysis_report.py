@@ -10,7 +10,8 @@ import numpy as np
 
 from companion.analysis.response import ATTITUDE_LOOPS, LATE_LINK_S, TICK_S
 from companion.geometry.formations import ROUNDING_M
-from companion.tools.analysis import ERROR_TURNS_S, PREDICT_S, STEP_M, VELOCITY_ERROR_M_S, Analysis, LawAnalysis
+from companion.tools.analysis import ERROR_TURNS_S, PREDICT_S, VELOCITY_ERROR_M_S, Analysis, LawAnalysis
+from companion.tools.subject import STEP_M
 from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code, Notice
 

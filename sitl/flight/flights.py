@@ -16,7 +16,15 @@ from msgspec import Struct
 
 from companion.analysis.interaction import Coupling, couple, mode_eigenvalues, mode_figures
 from companion.analysis.margins import least_delay_margin_s, string_gains
-from companion.analysis.response import AUTOPILOT_STEP_S, SPARE_S, LinearModel, flown_model, links_borne_s, reached_from
+from companion.analysis.response import (
+    AUTOPILOT_STEP_S,
+    SPARE_S,
+    LinearModel,
+    flown_graphs,
+    flown_model,
+    links_borne_s,
+    reached_from,
+)
 from companion.assembly import law_of
 from companion.config.file import ConfigError
 from companion.config.fleet import LawName
@@ -87,11 +95,7 @@ def check_convergence(scenario: Scenario) -> list[Notice]:
         ids = ", ".join(map(str, unreached))
         text = f"no path leads from a leader to vehicle {ids}; add an edge, more range, or a leader among them"
         raise _diverges(Notice(Code.NO_PATH_TO_LEADER, text))
-    couplings = [
-        couple(each, leaders, law)
-        for each in (graph, graph_in_slots(fleet))
-        if len(reached_from(each, leaders)) == len(graph)
-    ]
+    couplings = [couple(each, leaders, law) for each in flown_graphs(graph, graph_in_slots(fleet), leaders)]
     link_s = scenario.links.peer_delay_s + 0.5 * scenario.links.peer_jitter_s
     models = [_model(scenario, borne_s) for borne_s in links_borne_s(link_s)]
     margin_s, least_s = least_delay_margin_s(couplings, models), models[0].delay_s + SPARE_S

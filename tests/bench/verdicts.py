@@ -23,7 +23,8 @@ from companion.cli.options import whole_number
 from companion.config.file import ConfigError
 from companion.config.fleet import LawName
 from companion.ground.changes import assign_slots
-from companion.tools.analysis import LAW_NAMES, analyse, subject_of
+from companion.tools.analysis import LAW_NAMES, analyse
+from companion.tools.subject import subject_of
 from sitl.flight.scenario import Scenario, scenario_from
 from sitl.flight.virtual_flight import fly_without_landing
 from sitl.gauntlet.fleets import START_SPACING, direction, moved, random_fleet, scattered, sections, to_thousandth

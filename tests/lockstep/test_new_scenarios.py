@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.tools.analysis import analyse, load_subject
+from companion.tools.analysis import analyse
+from companion.tools.subject import load_subject
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.report.metrics import SAMPLE_S

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from companion.core.estimation.vehicle import MUST_LAND
 from companion.types.commands import CommandName
-from companion.types.flight import FlightPhase, HealthFlag, Role
+from companion.types.flight import FLAG_TEXTS, FlightPhase, HealthFlag, Role
 from companion.types.status import Status
 from lockstep_fleet import EnteringFleet, agent_of, scenario_of
 
@@ -57,7 +56,7 @@ def test_one_knows_its_height_and_the_other_says_that_it_must_land(tmp_path: Pat
     assert {status.leadership.role for status in fleet.reports[LEADER] if status.autopilot.armed} == {Role.FOLLOWER}
     assert not any(status.motion.is_known for status in fleet.reports[LEADER])
     assert HealthFlag.GROUND_UNKNOWN in lost.safety.flags
-    assert (LEADER, MUST_LAND) in fleet.events
+    assert (LEADER, FLAG_TEXTS[HealthFlag.GROUND_UNKNOWN]) in fleet.events
     assert not fleet.accepted(CommandName.FORM, LEADER)
     assert fleet.accepted(CommandName.LAND, LEADER)
     fleet.until_s(ENDS_S + 11.0)

@@ -8,12 +8,11 @@ from pathlib import Path
 import pytest
 
 from common import until
-from companion.core.estimation.vehicle import MUST_LAND
 from companion.ground.reports import status_as_data, status_lines
 from companion.ground.session import FleetSession
 from companion.mavlink.codec import mavlink
 from companion.types.commands import CommandName
-from companion.types.flight import FlightPhase, HealthFlag, Role
+from companion.types.flight import FLAG_TEXTS, FlightPhase, HealthFlag, Role
 from companion.types.status import Status
 from processes import AgentFiles, agent, agent_files
 from wire_autopilots import PX4, HoveringAutopilot, TappedFlight, in_the_air
@@ -55,7 +54,7 @@ def test_without_what_was_kept_it_says_at_once_that_it_must_land_and_does_not_le
             return bool(seen) and seen[-1].autopilot.armed and HealthFlag.GROUND_UNKNOWN in seen[-1].safety.flags
 
         until(knows_its_autopilot)
-        process.wait_for_log(MUST_LAND)
+        process.wait_for_log(FLAG_TEXTS[HealthFlag.GROUND_UNKNOWN])
         assert_says_that_it_must_land(seen[-1])
         assert not any(status.autopilot.armed and status.leadership.role is Role.LEADER for status in seen)
         reply = session.command([1], CommandName.FORM, 5.0)[1]
@@ -107,7 +106,7 @@ def test_it_has_the_position_of_the_one_before_and_without_it_lands(tmp_path: Pa
         kept.unlink()
         with agent(flight.files, environment=environment) as third:
             assert_says_that_it_must_land(next_status(flight, {HealthFlag.GROUND_UNKNOWN}))
-            assert MUST_LAND in third.log
+            assert FLAG_TEXTS[HealthFlag.GROUND_UNKNOWN] in third.log
             assert len(flight.tap.commands) == commands  # neither armed again nor changed the mode
             flight.order(CommandName.LAND, FlightPhase.LAND)
             flight.stand_in.wait_until_disarmed()

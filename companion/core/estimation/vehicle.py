@@ -33,7 +33,7 @@ from companion.types.autopilot import (
     ThrustSample,
     VehicleState,
 )
-from companion.types.flight import COOPERATING, Flight
+from companion.types.flight import COOPERATING, FLAG_TEXTS, Flight, HealthFlag
 from companion.types.notices import Code, Notice
 from companion.types.rejections import count_rejection
 from companion.types.values import ZERO3, Vector3
@@ -60,7 +60,6 @@ RALLY_POINTS = "rally points are stored in the autopilot, and it returns to the 
 EVENT_PERIOD_S = 1.0  # repeated jumps are reported no more often
 LATE_PERIOD_S = 5.0  # so are late positions
 FAILSAFE_STAYS_S = 5.0  # HEARTBEAT comes once a second, a text once
-MUST_LAND = "the height of its take-off is unknown: no position until it has landed; its pilot or `land` must land it"
 
 
 class VehicleTracker:
@@ -229,7 +228,7 @@ class VehicleTracker:
                 self._events.append(Notice(Code.GROUND_KEPT, text))
         unknown = self._ground_up_m is None and fields["armed"] and fields.get("landed") is not LandedState.ON_GROUND
         if unknown and not fields.get("ground_unknown"):
-            self._events.append(Notice(Code.GROUND_UNKNOWN, MUST_LAND))
+            self._events.append(Notice(Code.GROUND_UNKNOWN, FLAG_TEXTS[HealthFlag.GROUND_UNKNOWN]))
         fields["ground_unknown"] = unknown
 
     def _fold_ground(self, sample: GroundSample) -> None:

@@ -275,7 +275,7 @@ TEXTS: dict[str, str] = {
     "ATTITUDE_STALE": "attitude older than allowed",
     "MODE_STALE": "flight mode older than allowed",
     "FRAME_UNKNOWN": "the autopilot's origin is unknown",
-    "GROUND_UNKNOWN": "it must land: the height of its take-off is unknown, and so is its position",
+    "GROUND_UNKNOWN": "it must land, by its pilot or `land`: the height of its take-off is unknown, and so is its position",
     "ARMED_STALE": "armed state older than allowed",
     "LANDED_STALE": "landed state older than allowed",
     "LEADER_AWAITED": "no fresh leader beacon for a moment; followers hold formation",

@@ -23,8 +23,9 @@ from companion.analysis.prediction import DIVERGED_M, errors_over_time, settled_
 from companion.analysis.response import TICK_S, LinearModel, reached_from, settled_prcs
 from companion.cli.main import main
 from companion.core.consensus.law import FormationLaw, Gains, Weighting, average_22, average_26, next_prc, weighted
-from companion.tools.analysis import analyse, load_subject
+from companion.tools.analysis import analyse
 from companion.tools.analysis_report import report, verdict
+from companion.tools.subject import load_subject
 from companion.types.notices import Code
 
 SCENARIOS = ROOT / "config" / "scenarios"

@@ -29,8 +29,9 @@ from companion.core.consensus.law import (
     cooperative,
     weighted,
 )
-from companion.tools.analysis import analyse, load_subject
+from companion.tools.analysis import analyse
 from companion.tools.analysis_report import report, verdict
+from companion.tools.subject import load_subject
 from companion.types.notices import Code
 
 SCENARIOS = ROOT / "config" / "scenarios"

@@ -14,7 +14,7 @@ from companion.config.new_formation import NewFormation, ReferenceKind, flight_t
 from companion.config.planned_flight import ShapeName, Topology, neighbour_graph
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.geometry.formations import smallest_distance
-from companion.tools.analysis import load_subject
+from companion.tools.subject import load_subject
 from sitl.flight.new_scenario import new_scenario
 from sitl.flight.scenario import Scenario, load_scenario
 

@@ -13,7 +13,7 @@ from companion.config.file import ConfigError
 from companion.config.fleet import RangeNeighbours
 from companion.config.planned_flight import DEFAULT_ORIGIN, ShapeName, default_neighbours, neighbour_graph
 from companion.geometry.formations import SHAPES
-from companion.tools.analysis import load_subject
+from companion.tools.subject import load_subject
 from sitl.flight.scenario import STANDARD_TIMELINE, Scenario, load_scenario
 
 POINT = {"kind": "point", "point_enu_m": [5.0, 1.0, 3.0]}

@@ -17,8 +17,9 @@ from companion.analysis.response import SPARE_S, flown_model
 from companion.cli.main import main
 from companion.config.file import ConfigError
 from companion.core.consensus.law import FormationLaw, Gains, Weighting
-from companion.tools.analysis import Analysis, analyse, load_subject
+from companion.tools.analysis import Analysis, analyse
 from companion.tools.analysis_report import report, verdict
+from companion.tools.subject import load_subject
 from companion.types.notices import Code
 from sitl.flight.scenario import ScenarioFile, load_scenario
 
@@ -227,6 +228,11 @@ def test_moving_reference_is_mentioned() -> None:
         ("stand_in:", "standin:", 'standin: unknown key; did you mean "stand_in"?'),
         ("point_enu_m: [1.0,", "point_enu_m: [500.0,", "vehicle 1 at x = 500 m, outside the fence"),
         ("  4: [", "  5: [", "starts_enu_m.4: missing"),
+        ("timeline:", "links: {peer_delay_s: soon}\ntimeline:", "links.peer_delay_s"),
+        ("timeline:", "links: 3\ntimeline:", "links: "),
+        ("  sensors: ideal", "  autopilot: px5", "stand_in.autopilot"),
+        ("    drag_n_per_m_s: 0.0", "    mass_kg: 0", "stand_in.airframe.mass_kg"),
+        ("stand_in:\n", "stand_in: 4\ntargets:\n", "stand_in: 4: expected a section"),
     ],
 )
 def test_invalid_scenario_is_refused_as_in_flight(tmp_path: Path, old: str, new: str, said: str) -> None:
@@ -255,8 +261,8 @@ def test_settings_of_the_command_line_take_the_place_of_those_of_the_file(capsys
 
 def test_sections_not_read_are_listed() -> None:
     analysis = analyse(load_subject(CONFIG / "scenarios" / "platoon.yaml"))
-    assert analysis.not_read == ["stand_in but its autopilot and drag", "timeline"]
-    assert "not read and not checked: stand_in but its autopilot and drag, timeline" in report(analysis)
+    assert analysis.not_read == ["stand_in but its autopilot, mass and drag", "timeline"]
+    assert "not read and not checked: stand_in but its autopilot, mass and drag, timeline" in report(analysis)
 
 
 def test_rotation_of_the_formation_is_left_out_with_a_note() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from companion.core.estimation.vehicle import MUST_LAND, VehicleTracker
+from companion.core.estimation.vehicle import VehicleTracker
 from companion.types.autopilot import (
     AutopilotKind,
     GroundSample,
@@ -16,6 +16,7 @@ from companion.types.autopilot import (
     PositionSample,
     Telemetry,
 )
+from companion.types.flight import FLAG_TEXTS, HealthFlag
 from companion.types.notices import Code
 
 ORIGIN = (47.0, 8.0, 400.0)
@@ -71,7 +72,9 @@ def test_without_it_the_agent_says_at_once_that_it_must_land(kept: GroundSample 
     state, events = one.fold([*([kept] if kept else []), *flying(100.0)])
     assert state.position_time_s == float("-inf")
     assert state.ground_unknown
-    assert [(event.code, event.text) for event in events] == [(Code.GROUND_UNKNOWN, MUST_LAND)]
+    assert [(event.code, event.text) for event in events] == [
+        (Code.GROUND_UNKNOWN, FLAG_TEXTS[HealthFlag.GROUND_UNKNOWN])
+    ]
     assert one.takeoff is None
 
 

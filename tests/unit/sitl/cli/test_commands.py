@@ -48,7 +48,7 @@ def test_agent_and_monitor_exit_with_0_on_ctrl_c_during_the_start(
 @pytest.mark.parametrize(
     ("run", "arguments"),
     [
-        ("companion.tools.analysis.load_subject", ["analyze", "fleet.yaml"]),
+        ("companion.tools.subject.load_subject", ["analyze", "fleet.yaml"]),
         ("companion.tools.doctor.run_doctor", ["doctor", "--config", "vehicle.yaml"]),
     ],
 )

@@ -6,7 +6,8 @@ import pytest
 
 from common import ROOT
 from companion.config.file import ConfigError
-from companion.tools.analysis import analyse, load_subject
+from companion.tools.analysis import analyse
+from companion.tools.subject import load_subject
 from companion.types.notices import Code
 from sitl.cli.main import main as sitl
 from sitl.flight.flights import DivergesError, check_convergence

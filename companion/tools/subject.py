@@ -1,0 +1,179 @@
+"""The input of `companion analyze`: what of a scenario file or a fleet file the analysis reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct, structs
+
+from companion.analysis.response import (
+    AUTOPILOT_STEP_S,
+    ON_BOARD_S,
+    SPARE_S,
+    USUAL_DRAG_1_S,
+    USUAL_LINK_S,
+    LinearModel,
+    flown_model,
+)
+from companion.assembly import flyable_problems
+from companion.config.file import SET, convert, kind_of_file, override, read_as
+from companion.config.fleet import FleetConfig
+from companion.config.fleet_check import fleet_problems
+from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
+from companion.config.reference import Reference
+from companion.config.validation import Problem, each, examine, unless_invalid
+from companion.types.autopilot import AutopilotKind
+from companion.types.values import ZERO3, Vector3
+
+# Sections of a scenario that are not read, as they are named: of two some keys are read.
+NOT_READ = {
+    "origins_enu_m": "origins_enu_m",
+    "stand_in": "stand_in but its autopilot, mass and drag",
+    "assumed": "assumed",
+    "targets": "targets",
+    "links": "links but their delays",
+    "timeline": "timeline",
+    "agent_ends": "agent_ends",
+}
+STEP_M = 1.0  # step of the reference that is predicted for a fleet file, which has no start positions
+DelaySeconds = Annotated[float, Meta(ge=0, le=1)]
+
+
+class _OfLinks(Struct, frozen=True):
+    telemetry_delay_s: DelaySeconds = 0.0003
+    setpoint_delay_s: DelaySeconds = 0.0005
+    peer_delay_s: DelaySeconds = USUAL_LINK_S
+    peer_jitter_s: DelaySeconds = 0.0
+
+    @property
+    def link_s(self) -> float:
+        """On average."""
+        return self.peer_delay_s + 0.5 * self.peer_jitter_s
+
+    @property
+    def on_board_s(self) -> float:
+        return AUTOPILOT_STEP_S + self.telemetry_delay_s + self.setpoint_delay_s
+
+
+class _OfAirframe(Struct, frozen=True):
+    mass_kg: Annotated[float, Meta(gt=0)] = 1.0
+    drag_n_per_m_s: Annotated[float, Meta(ge=0)] = USUAL_DRAG_1_S
+
+
+class _OfStandIn(Struct, frozen=True):
+    autopilot: AutopilotKind = AutopilotKind.PX4
+
+
+class _ScenarioPart(PlannedFlight, frozen=True, kw_only=True):
+    """A scenario. The fields of type Any belong to the flight; `_parts` reads some keys of two of them."""
+
+    reference: Reference | None = None
+    origins_enu_m: Any = None
+    stand_in: Any = None
+    assumed: Any = None
+    targets: Any = None
+    links: Any = None
+    timeline: Any = None
+    agent_ends: Any = None
+
+
+class Subject(Struct, frozen=True, kw_only=True):
+    """Input of the analysis: a fleet, its start positions and the position of its reference."""
+
+    file: Path
+    fleet: FleetConfig
+    starts_enu_m: Mapping[int, Vector3]
+    reference_enu_m: Vector3
+    reference_moves: bool = False
+    link_s: float = USUAL_LINK_S  # between its agents
+    on_board_s: float = ON_BOARD_S
+    autopilot: AutopilotKind = AutopilotKind.PX4
+    drag_1_s: float = USUAL_DRAG_1_S
+    not_read: Sequence[str] = ()
+    settings: Sequence[str] = ()
+
+    def model(self, link_s: float) -> LinearModel:
+        """The model of its vehicles with this link."""
+        return flown_model(self.autopilot, link_s, self.drag_1_s, self.on_board_s)
+
+    @property
+    def least_margin_s(self) -> float:
+        """The delay margin that its law must have."""
+        return self.model(self.link_s).delay_s + SPARE_S
+
+
+def load_subject(path: Path, overrides: Sequence[str] = ()) -> Subject:
+    """The subject of a scenario file, or of a fleet file, with overrides "KEY.PATH=VALUE" (a YAML value).
+
+    In a fleet file the vehicles start in formation, STEP_M behind the reference. Raises ConfigError.
+    """
+    data = read_as(path, "scenario", "fleet")
+    subject = subject_of(path, data)  # the file must be valid by itself, so that an error below is an override's
+    if not overrides:
+        return subject
+    data = override(data, overrides, "fleet.law.name=average_22, or law.name=average_22 in a fleet file")
+    return structs.replace(subject_of(SET, data), file=path, settings=tuple(overrides))
+
+
+def subject_of(path: Path, data: Any) -> Subject:
+    """The subject of the content of a file. `path` names it in errors. Raises ConfigError."""
+    if kind_of_file(data) != "scenario" and not (isinstance(data, dict) and "fleet" in data):
+        fleet = convert(path, data, FleetConfig, fleet_problems)
+        starts = {member.id: member.slot_enu_m for member in fleet.vehicles}
+        reference_enu_m, not_read = _a_step(fleet), _not_read(data, fleet, "")
+        return Subject(file=path, fleet=fleet, starts_enu_m=starts, reference_enu_m=reference_enu_m, not_read=not_read)
+    part = convert(path, data, _ScenarioPart, _problems)
+    fleet, (links, stand_in, airframe) = fleet_of(part.fleet), _parts(part)[0]
+    return Subject(
+        file=path,
+        fleet=fleet,
+        starts_enu_m=_starts(part, fleet),
+        reference_enu_m=part.reference.start_enu_m if part.reference else _a_step(fleet),
+        reference_moves=part.reference is not None and part.reference.MOVES,
+        link_s=links.link_s,
+        on_board_s=links.on_board_s,
+        autopilot=stand_in.autopilot,
+        drag_1_s=airframe.drag_n_per_m_s / airframe.mass_kg,
+        not_read=_not_read(data, fleet, "fleet."),
+    )
+
+
+def _parts(part: _ScenarioPart) -> tuple[tuple[_OfLinks, _OfStandIn, _OfAirframe], list[Problem]]:
+    """What is read of links, stand-ins and their airframe, and what is wrong with it."""
+    links, of_links = _read(part.links, _OfLinks, "links")
+    stand_in, of_stand_in = _read(part.stand_in, _OfStandIn, "stand_in")
+    of_vehicle = part.stand_in.get("airframe") if isinstance(part.stand_in, dict) else None
+    airframe, of_airframe = _read(of_vehicle, _OfAirframe, "stand_in.airframe")
+    return (links, stand_in, airframe), [*of_links, *of_stand_in, *of_airframe]
+
+
+def _read(section: Any, type_: type[Struct], field: str) -> tuple[Any, list[Problem]]:
+    """The keys of this type; other keys belong to the flight. Its defaults where there is no section."""
+    if isinstance(section, dict):
+        section = {key: value for key, value in section.items() if key in type_.__struct_fields__}
+    return examine({} if section is None else section, type_, field)
+
+
+def _starts(part: _ScenarioPart, fleet: FleetConfig) -> Mapping[int, Vector3]:
+    return starts_of(part, fleet, part.reference.start_enu_m if part.reference else ZERO3)
+
+
+def _problems(part: _ScenarioPart) -> Iterator[Problem]:
+    yield from _parts(part)[1]
+    fleet = fleet_of(part.fleet)
+    yield from planned_problems(part, fleet, unless_invalid(lambda: _starts(part, fleet)))
+    if part.reference:
+        yield from each(flyable_problems(fleet, part.reference))
+
+
+def _not_read(data: Any, fleet: FleetConfig, where: str) -> list[str]:
+    """Keys of the file that the analysis does not use; it keeps the heading of the start."""
+    named = [name for section, name in NOT_READ.items() if section in data]
+    return named + [f"{where}formation_heading"] * fleet.slots_turn
+
+
+def _a_step(fleet: FleetConfig) -> Vector3:
+    """Reference position STEP_M ahead of vehicles that took off at their slots."""
+    return (STEP_M, 0.0, fleet.takeoff_height_m)
