@@ -163,7 +163,7 @@ def _doubts(
 def _expected_slot(status: Status, fleet: FleetConfig, own: Vector3 | None) -> str:
     """What a slot should be; "" where it may be true: no vehicle accepts a formation that is wider than the fence.
 
-    In formation 0, which nobody has changed, each has the slot of the fleet file.
+    Formation 0 is that of the fleet file.
     """
     slot, (low, high) = status.formation.slot, (fleet.envelope.fence_min_enu_m, fleet.envelope.fence_max_enu_m)
     x, y, z = slot.position_enu_m

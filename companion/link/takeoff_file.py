@@ -28,7 +28,7 @@ from companion.types.values import FleetName, VehicleId
 
 LOOK_S = 1.0  # a vehicle is armed for longer before it climbs
 KEPT_EVERY_S = 10.0
-OLDEST_S = 120.0  # within it nobody lands, carries the vehicle elsewhere and takes off again; a computer starts in less
+OLDEST_S = 120.0  # a computer starts in less; a landing and another take-off elsewhere take longer
 EARLIER_S = 2.0  # the clock may have been set back by less
 STARTS_AGREE_S = 2.0
 CLOCK_ERROR = 0.03  # PX4's clock runs 1 to 2 % slow

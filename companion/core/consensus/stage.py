@@ -61,7 +61,7 @@ FORMING_S = 2.0  # so long a formation may take to come together
 class LeadView(Struct, frozen=True, gc=False):
     """The own role and term, and what this vehicle knows of its leader.
 
-    Armed and without a position it is no leader, whatever its file or a command says: nobody could follow it.
+    An armed vehicle without a position is a follower, whatever the fleet file or a command says: no peer could follow it.
     `beacon` is the one to pass on, None without a fresh leader. `heading` is that of the formation as peers report it, None
     where this vehicle decides it. `reference_s` is mission time, as far as this vehicle knows: how far the fleet is in the RFT.
     """

@@ -76,7 +76,7 @@ def hold_silent_connections(ports: Collection[int] = ANY_PORT) -> None:
 
     What a connection sends before it is handed over comes to the listener: with its FIN it would be handed over. One that is
     accepted drops FIN, too, until its handshake is complete. A FIN is sent again until it is acknowledged, so none is missed.
-    RST passes: without it the kernel would keep what nobody at the other end knows, and refuse its address.
+    RST passes: otherwise the kernel would keep a connection that its other end has reset.
     """
     if not OPEN_FILES.is_dir():
         return

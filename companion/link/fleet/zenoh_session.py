@@ -49,7 +49,7 @@ Taken = TypeVar("Taken")
 LEASE_MS = 2000
 HANDSHAKE_MS = 2000
 # A TLS handshake that is begun and never goes on costs 12 kB and a file. When Zenoh gives it up, after 10 s by default, it
-# pauses 0.1 s, in which it accepts nobody: 600 kept a vehicle that started again out for 13 s. So none is given up in a flight.
+# accepts no connection for 0.1 s: 600 such handshakes kept a restarted agent out for 13 s. So none is given up in a flight.
 TLS_HANDSHAKE_MS = 3_600_000
 # Size of a connection's buffers; a longer message is sent in parts. The default of 64 kB takes 0.3 MB more for every peer. Two
 # of these hold the packets of 2 s. A stall of less does not fill them, and a longer one ends the connection anyway (LEASE_MS).
