@@ -138,8 +138,11 @@ def chain(n: int) -> dict[int, list[int]]:
 
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("feedforward", [0.0, 0.9])
-@pytest.mark.parametrize("k1", [0.5, 1.39, 3.0, 6.0])
-@pytest.mark.parametrize("ratio_s", [0.1, 0.19, 0.22, 0.26, 0.36, 0.6, 1.0, 1.6])
+@pytest.mark.parametrize("k1", [1.39, 3.0, *(pytest.param(k1, marks=pytest.mark.long) for k1 in (0.5, 6.0))])
+@pytest.mark.parametrize(
+    "ratio_s",
+    [0.1, 0.22, 0.36, 1.6, *(pytest.param(ratio_s, marks=pytest.mark.long) for ratio_s in (0.19, 0.26, 0.6, 1.0))],
+)
 def test_advice_increases_the_delay_margin(tmp_path: Path, k1: float, ratio_s: float, feedforward: float) -> None:
     k2 = round(k1 * ratio_s, 6)
     before_s = margin_s(3, k1, k2, feedforward)
