@@ -135,6 +135,7 @@ def test_ctrl_c_in_formation_lands_all_and_leaves_no_process(launch: Callable[[]
 
 
 @fleet
+@pytest.mark.long
 def test_a_second_ctrl_c_stops_at_once(launch: Callable[[], Flight]) -> None:
     flight = launch()
     flight.wait_for_formation()
@@ -195,6 +196,7 @@ def test_an_agent_killed_in_formation_ends_the_flight_and_the_others_land(launch
 
 
 @fleet
+@pytest.mark.long
 def test_stand_ins_killed_in_formation_end_the_flight(launch: Callable[[], Flight]) -> None:
     flight = launch()
     flight.wait_for_formation()

@@ -81,6 +81,7 @@ def test_the_formation_holds_under(flight: FaultyFleet, fault: str, row: FaultRo
     flight.check(row)
 
 
+@pytest.mark.every_fault
 def test_a_fleet_forms_under_loss_and_delay(tmp_path: Path, row: FaultRow) -> None:
     """The links are bad from the start: connecting, arming, take-off and forming, too.
 
@@ -140,17 +141,17 @@ def test_parted_followers_hold_and_form_again_when_the_network_heals(flight: Fau
     formed_s = time.monotonic() - healed_s - 2.0
     flight.wait(lambda: all(flight.event(i, Code.SLOT_REACHED) for i in (3, 4)), 60.0)
     in_slots_s = time.monotonic() - healed_s
-    flight.ground.listen(6.0)
-    error_m = flight.largest_error_m(last_s=2.0)
+    # Vehicle 2 made way for 3, and returns to its slot.
+    flight.wait(lambda: flight.largest_error_m(last_s=2.0) < CONVERGED_M, 20.0)
+    converged_s = time.monotonic() - healed_s
     row.fault, row.demanded = "vehicles 3 and 4 parted from 1 and 2 for some seconds", demanded(Code.LEADER_LOST)
     row.measured = [
         f"3 and 4 leave formation after {lost_s:.2f} s",
         f"formed again {formed_s:.1f} s after healing, by `form`, in their slots after {in_slots_s:.0f} s",
-        f"error then {error_m:.3f} m",
+        f"all within {CONVERGED_M} m after {converged_s:.0f} s",
     ]
     row.outcome = "each part acts by the matrix; all in formation again"
     assert lost_s < LOST_S
-    assert error_m < CONVERGED_M
     flight.check(row)
 
 

@@ -67,6 +67,7 @@ def test_a_successor_leads_when_the_agent_of_the_leader_is_killed(tmp_path: Path
         flight.land(FOLLOWERS)
 
 
+@pytest.mark.every_fault
 def test_the_others_fly_on_when_the_agent_of_a_follower_is_killed(flight: FaultyFleet, row: FaultRow) -> None:
     row.fault, row.demanded = "SIGKILL of a follower's agent", "last setpoint at most 40 ms later"
     flight.fault()

@@ -57,7 +57,14 @@ def flying(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Undisturbed]:
         yield Undisturbed.of(fleet)
 
 
-@pytest.mark.parametrize("who", ["no certificate", "foreign authority", "expired certificate", "plain TCP"])
+@pytest.mark.parametrize(
+    "who",
+    [
+        "no certificate",
+        "foreign authority",
+        *(pytest.param(who, marks=pytest.mark.every_fault) for who in ("expired certificate", "plain TCP")),
+    ],
+)
 def test_a_stranger_is_not_connected(flying: Undisturbed, row: FaultRow, who: str, tmp_path: Path) -> None:
     fleet = flying.fleet
     tls, protocol = ({}, "tcp") if who == "plain TCP" else (tls_of_a_stranger(who, fleet, tmp_path), "tls")

@@ -193,6 +193,7 @@ def test_a_vehicle_that_loses_its_agent_in_formation_is_reported_as_left_armed(
     assert all_are_running(autopilots)
 
 
+@pytest.mark.long
 def test_a_vehicle_taken_over_by_a_pilot_in_formation_is_left_to_the_pilot(
     tmp_path: Path, offset: int, autopilots: list[subprocess.Popen[bytes]]
 ) -> None:

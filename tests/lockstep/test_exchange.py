@@ -66,7 +66,7 @@ def exchange(fleet: EnteringFleet, slots: dict[int, Vector3]) -> float:
 
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 @pytest.mark.parametrize("law", ["cooperative", "weighted"])
-@pytest.mark.parametrize(("sensors", "share"), [("ideal", 1.0), ("default", 0.8)])
+@pytest.mark.parametrize(("sensors", "share"), [pytest.param("ideal", 1.0, marks=pytest.mark.long), ("default", 0.8)])
 def test_four_exchange_slots_crosswise(tmp_path: Path, law: str, autopilot: str, sensors: str, share: float) -> None:
     fleet = fleet_of(tmp_path, SQUARE, SQUARE, law, f"stand_in.sensors={sensors}", f"stand_in.autopilot={autopilot}")
     took = exchange(fleet, SQUARE)

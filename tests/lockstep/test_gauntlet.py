@@ -128,7 +128,14 @@ def smallest_flight(family: str) -> int:
     return min(islice(numbers, 6), key=ticks)
 
 
-@pytest.mark.parametrize("family", ALL_FAMILIES)
+# Of each kind of disturbance one; `make test-long` flies the others.
+IN_MAKE_TEST = {"form_crossing", "exchange", "leader_dies", "split_in_exchange", "hold_in_motion", "late_telemetry"}
+
+
+@pytest.mark.parametrize(
+    "family",
+    [family if family in IN_MAKE_TEST else pytest.param(family, marks=pytest.mark.long) for family in ALL_FAMILIES],
+)
 def test_a_flight_of_each_family_violates_no_separation_and_ends_in_formation(family: str) -> None:
     outcome = fly(Job(1, smallest_flight(family), "ideal"))
     assert outcome.family == family

@@ -14,7 +14,9 @@ from companion.types.notices import Code
 from lockstep_fleet import CommandedFlight
 
 C, P = CommandName, FlightPhase
-BOTH = pytest.mark.parametrize("kind", list(AutopilotKind))
+BOTH = pytest.mark.parametrize(
+    "kind", [AutopilotKind.PX4, pytest.param(AutopilotKind.ARDUPILOT, marks=pytest.mark.long)]
+)
 LINE = ROOT / "config" / "scenarios" / "four_in_line.yaml"
 SOON_S = 12.0  # armed by then
 

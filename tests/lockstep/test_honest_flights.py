@@ -16,8 +16,15 @@ FAST = ("reference.period_s=16", "fleet.law={name: cooperative}")
 
 
 @pytest.mark.parametrize("sensors", [pytest.param("default", marks=pytest.mark.long), "px4_sih"])
-@pytest.mark.parametrize("links", [LOSSES, LATE])
-@pytest.mark.parametrize(("scenario", "overrides"), [(FIGURE_8, FAST), (EXCHANGE, ())])
+@pytest.mark.parametrize(
+    ("links", "scenario", "overrides"),
+    [
+        (LATE, FIGURE_8, FAST),
+        pytest.param(LOSSES, FIGURE_8, FAST, marks=pytest.mark.long),
+        (LOSSES, EXCHANGE, ()),
+        pytest.param(LATE, EXCHANGE, (), marks=pytest.mark.long),
+    ],
+)
 def test_no_honest_vehicle_is_in_doubt(scenario, overrides, links, sensors) -> None:  # type: ignore[no-untyped-def]
     flight = FlownScenario(load_scenario(scenario, (f"stand_in.sensors={sensors}", *links, *overrides)))
     reports = [status for _, status in flight.watch.reports]

@@ -76,7 +76,7 @@ def rejected(flight: CommandedFlight) -> set[str]:
     return {key for status in flight.newest.values() for key in status.rejected}
 
 
-@pytest.mark.parametrize("neighbours", [EDGES, RANGE], ids=["edges", "range"])
+@pytest.mark.parametrize("neighbours", [EDGES, pytest.param(RANGE, marks=pytest.mark.long)], ids=["edges", "range"])
 def test_a_formation_flies_as_if_all_were_received_at_50_hz(neighbours: dict[str, object]) -> None:
     two_rates, full_rate = LargeFleet(neighbours), LargeFleet(neighbours, 250)
     for flight in (two_rates, full_rate):

@@ -19,7 +19,7 @@ def test_a_vehicle_whose_telemetry_is_always_late_is_not_prepared() -> None:
 
 
 @pytest.mark.parametrize("kind", list(AutopilotKind))
-@pytest.mark.parametrize("delay_s", [0.15, 0.4, 1.0])
+@pytest.mark.parametrize("delay_s", [0.15, pytest.param(0.4, marks=pytest.mark.long), 1.0])
 def test_a_vehicle_whose_telemetry_becomes_late_sends_no_setpoint_and_leaves(
     kind: AutopilotKind, delay_s: float
 ) -> None:

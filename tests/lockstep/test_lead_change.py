@@ -116,7 +116,9 @@ def test_followers_report_no_reference() -> None:
         assert (status.formation.reference_enu_m is None) is (status.leadership.role == "follower")
 
 
-@pytest.mark.parametrize(("law", "most_m"), [("weighted", 0.6), ("cooperative", 0.1)])
+@pytest.mark.parametrize(
+    ("law", "most_m"), [("weighted", 0.6), pytest.param("cooperative", 0.1, marks=pytest.mark.long)]
+)
 def test_the_ring_follows_the_eight(law: str, most_m: float) -> None:
     flight = flown(f"fleet.law.name={law}")
     assert flight.failures == []

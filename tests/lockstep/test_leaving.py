@@ -58,7 +58,7 @@ def test_a_vehicle_rejoins_its_gap_without_disturbing_the_others() -> None:
     assert fleet.smallest_m(since_s) > 1.9
 
 
-@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("moving", [pytest.param(False, marks=pytest.mark.long), True])
 def test_a_vehicle_joins_from_a_distance_and_the_others_keep_their_slots(moving: bool) -> None:
     """The vehicle is behind the column, which has moved ahead or is moving."""
     fleet = flight(goes_on(0.6 if moving else 3.0))

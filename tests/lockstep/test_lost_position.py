@@ -14,7 +14,11 @@ SCENARIO = ROOT / "config" / "scenarios" / "leaving.yaml"
 
 @pytest.mark.parametrize(
     ("kind", "receiver"),
-    [(AutopilotKind.PX4, "silent"), (AutopilotKind.ARDUPILOT, "silent"), (AutopilotKind.ARDUPILOT, "jammed")],
+    [
+        (AutopilotKind.PX4, "silent"),
+        pytest.param(AutopilotKind.ARDUPILOT, "silent", marks=pytest.mark.long),
+        (AutopilotKind.ARDUPILOT, "jammed"),
+    ],
 )
 def test_a_vehicle_that_loses_gps_lands_before_it_has_drifted_far(kind: AutopilotKind, receiver: str) -> None:
     lost = f"{{vehicle: 3, at_s: 30, drift_enu_m_s2: [-0.05, 0, 0], receiver: {receiver}}}"

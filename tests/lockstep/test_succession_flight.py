@@ -121,7 +121,9 @@ def test_a_turning_formation_continues_without_a_step() -> None:
             assert dist(moved, b.position_enu_m) < 0.002
 
 
-@pytest.mark.parametrize(("law", "most_m"), [("cooperative", 0.3), ("weighted", 0.5)])
+@pytest.mark.parametrize(
+    ("law", "most_m"), [("cooperative", 0.3), pytest.param("weighted", 0.5, marks=pytest.mark.long)]
+)
 def test_vehicles_keep_their_slots_without_a_step(law: str, most_m: float) -> None:
     """The weighted law has the same error before: it follows a moving reference with a lag.
 

@@ -102,7 +102,7 @@ def test_slots_are_kept_while_turning_with_five_leader_changes(
     assert not any(any(status.rejected) for _, status in flight.watch.reports)
 
 
-@pytest.mark.parametrize("late", [(), LATE])
+@pytest.mark.parametrize("late", [(), pytest.param(LATE, marks=pytest.mark.long)])
 def test_slots_references_and_heading_have_no_step_at_leader_changes(late: tuple[str, ...]) -> None:
     flight = flown(RING, *COURSE, *late)
     assert flight.decisions.jump_m() < JUMP_M

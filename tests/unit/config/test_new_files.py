@@ -31,7 +31,7 @@ def scenario_of(folder: Path, new: NewFormation) -> Scenario:
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("topology", TOPOLOGIES)
 def test_every_shape_with_every_topology_and_count_loads(shape: ShapeName, topology: Topology, tmp_path: Path) -> None:
-    for count in range(2, 13):
+    for count in (2, 3, 4, 7, 12):
         reference = REFERENCES[count % len(REFERENCES)]
         heading = ("fixed", "course")[count // 4 % 2]
         new = NewFormation(

@@ -68,7 +68,15 @@ def test_messages_of_a_whole_flight_with_ardupilot() -> None:
         (P.HOLD, C.LAND, M.MAV_CMD_DO_SET_MODE),
     ],
 )
-@pytest.mark.parametrize("answers", [(ACCEPTED,), (ACCEPTED, TEMPORARILY_REJECTED), (FAILED,), ()])
+@pytest.mark.parametrize(
+    "answers",
+    [
+        (ACCEPTED,),
+        pytest.param((ACCEPTED, TEMPORARILY_REJECTED), marks=pytest.mark.long),
+        pytest.param((FAILED,), marks=pytest.mark.long),
+        (),
+    ],
+)
 def test_a_procedure_without_effect_fails_after_bounded_retries(
     kind: AutopilotKind, before: FlightPhase, name: CommandName, number: int, answers: Answer
 ) -> None:

@@ -36,7 +36,9 @@ def assert_recovers(
 
 
 @pytest.mark.parametrize("successors", [(), (2, 3)])
-@pytest.mark.parametrize("max_age_s", [0.25, 0.3, 0.5, 1.0])
+@pytest.mark.parametrize(
+    "max_age_s", [0.25, *(pytest.param(age_s, marks=pytest.mark.long) for age_s in (0.3, 0.5)), 1.0]
+)
 @pytest.mark.parametrize("graph", GRAPHS)
 def test_one_beacon_deposes_no_leader_for_long(graph: str, max_age_s: float, successors: tuple[int, ...]) -> None:
     fleet = CooperatingFleet(GRAPHS[graph], (1, 2, 3), successors, max_age_s)
