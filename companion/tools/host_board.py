@@ -15,6 +15,10 @@ PROGRAM_S = 3.0
 PROGRAMS = {  # by the name under which the checks find the output
     "timedatectl": ("timedatectl", "show", "--property=NTPSynchronized", "--value"),
     "get_throttled": ("vcgencmd", "get_throttled"),
+    "agents": (
+        *("systemctl", "show", "companion@*.service", "--property"),
+        "Id,Nice,CPUSchedulingPolicy,CPUSchedulingPriority,CPUAffinity,TimerSlackNSec",
+    ),
 }
 POWER_SAVE = "power_save "  # and the name of a Wi-Fi interface
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -33,6 +33,10 @@ WIFI, CLOCK = "Wi-Fi power saving", "clock"
 SETTING = re.compile(r"^\s*wifi\.powersave\s*=\s*(\d)\s*$", re.MULTILINE)
 OFF = "2"  # NetworkManager's number for disabled
 SWITCH_OFF = "it delays packets by up to 0.1 s; switch it off: docs/installation.md#wi-fi-power-saving"
+SCHEDULING = "scheduling"
+POLICIES = {"0": "normal class", "1": "FIFO", "2": "round robin"}  # as systemd numbers them, from sched.h
+LEAST_NICE = -10  # with less priority than this a compiler or an upgrade beside the agent makes its ticks late
+UNLIMITED = -1
 DISK, ROOT, KERNEL, PYTHON = "disk", "root file system", "kernel", "Python"
 LITTLE_BYTES, LEAST_BYTES = 1_000_000_000, 100_000_000  # an upgrade needs 0.3 GB, the journal up to 0.2 GB
 OLDEST_KERNEL = (5, 10)
@@ -155,6 +159,39 @@ def governor(board: Board) -> HostFinding:
     return ok(GOVERNOR, text) if set(names) == {"performance"} else warning(GOVERNOR, text, KEEP_PERFORMANCE)
 
 
+def scheduling(board: Board) -> HostFinding:
+    """How the kernel runs each agent: the real-time policy of the unit, docs/installation.md#scheduling."""
+    blocks = (board.outputs.get("agents") or "").split("\n\n")
+    agents = [dict(line.split("=", 1) for line in block.splitlines() if "=" in line) for block in blocks]
+    agents = [agent for agent in agents if agent.get("Id")]
+    if not agents:
+        return unknown(SCHEDULING, "no agent of this computer is a service")
+    found = "; ".join(_scheduled(agent) for agent in agents)
+    if all(agent.get("CPUSchedulingPolicy") in (None, "0") for agent in agents):
+        late = any(_whole(agent.get("Nice")) > LEAST_NICE for agent in agents)
+        remedy = "other processes delay its ticks: keep Nice=-15 of companion@.service"
+        return warning(SCHEDULING, found, remedy) if late else ok(SCHEDULING, found)
+    if board.number("proc/sys/kernel/sched_rt_runtime_us") == UNLIMITED:
+        remedy = "a runaway loop would lock up the computer: sudo sysctl kernel.sched_rt_runtime_us=950000"
+        return problem(SCHEDULING, f"{found}; no limit of the kernel", remedy)
+    return ok(SCHEDULING, found)
+
+
+def _scheduled(agent: Mapping[str, str]) -> str:
+    policy = POLICIES.get(agent.get("CPUSchedulingPolicy", "0"), "another class")
+    if policy == POLICIES["0"]:
+        policy += f", nice {agent.get('Nice', '0')}"
+    else:
+        policy += f", priority {agent.get('CPUSchedulingPriority', '0')}"
+    cores = f"cores {agent['CPUAffinity']}" if agent.get("CPUAffinity") else "any core"
+    slack_us = _whole(agent.get("TimerSlackNSec")) / 1000
+    return f"{agent['Id'].removesuffix('.service')}: {policy}, {cores}, timer slack {slack_us:g} us"
+
+
+def _whole(value: str | None) -> int:
+    return int(value) if value and re.fullmatch(r"-?\d{1,12}", value) else 0
+
+
 def wifi_power_saving(board: Board) -> HostFinding:
     """What `iw` reports for each interface, else what NetworkManager is configured to do."""
     interfaces = [path.split("/")[3] for path in board.paths("sys/class/net/*/wireless")]
@@ -237,7 +274,7 @@ def python(board: Board) -> HostFinding:
 
 
 CHECKS: tuple[Callable[[Board], HostFinding], ...] = (
-    *(serial_console, uart_speed, supply_voltage, temperature, governor),
+    *(serial_console, uart_speed, supply_voltage, temperature, governor, scheduling),
     *(wifi_power_saving, clock, disk, root_file_system, kernel, python),
 )
 

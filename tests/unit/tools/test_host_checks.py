@@ -21,6 +21,7 @@ from companion.tools.host_checks import (
     python,
     report,
     root_file_system,
+    scheduling,
     serial_console,
     serial_port_of,
     supply_voltage,
@@ -53,7 +54,8 @@ PI_4 = {
 LINKS = {"dev/serial0": "ttyAMA0", "sys/class/tty/ttyAMA0/device/driver": "../../bus/amba/drivers/uart-pl011"}
 
 
-OUTPUTS = {"power_save wlan0": "Power save: off", "get_throttled": "throttled=0x0"}
+AGENT = "Nice=-15\nCPUSchedulingPolicy=0\nCPUSchedulingPriority=0\nCPUAffinity=\nTimerSlackNSec=1000\nId=companion@3.service"
+OUTPUTS = {"power_save wlan0": "Power save: off", "get_throttled": "throttled=0x0", "agents": AGENT}
 
 
 def board_tree(root: Path, changes: Mapping[str, str | None], links: Mapping[str, str] = LINKS) -> Path:
@@ -182,7 +184,7 @@ def test_the_report_has_the_board_a_line_per_check_and_a_summary(board: Make) ->
         line for line in lines if "supply voltage" in line
     ]
     assert len(lines) == 1 + len(examine(made)) + 2
-    assert lines[-1] == "1 problem, 1 warning, 9 ok"
+    assert lines[-1] == "1 problem, 1 warning, 1 not known, 9 ok"
 
 
 def test_foreign_text_cannot_control_the_terminal(board: Make) -> None:
@@ -211,3 +213,29 @@ def test_the_remedies_name_headings_of_the_guide() -> None:
     anchors = {title.lower().replace(" ", "-") for title in headings}
     for remedy in (SWITCH_OFF, KEEP_PERFORMANCE):
         assert re.findall(r"docs/installation\.md#([\w-]+)", remedy)[0] in anchors
+
+
+FIFO = AGENT.replace("Policy=0", "Policy=1").replace("Priority=0", "Priority=10").replace("Affinity=", "Affinity=3")
+
+
+@pytest.mark.parametrize(
+    ("agents", "runtime_us", "verdict", "found"),
+    [
+        (AGENT, "950000", OK, "companion@3: normal class, nice -15, any core, timer slack 1 us"),
+        (AGENT.replace("Nice=-15", "Nice=0"), "950000", WARNING, "companion@3: normal class, nice 0"),
+        (FIFO, "950000", OK, "companion@3: FIFO, priority 10, cores 3"),
+        (FIFO, "-1", PROBLEM, "no limit of the kernel"),
+        (f"{AGENT}\n\n{FIFO.replace('@3', '@4')}", "-1", PROBLEM, "companion@4: FIFO"),
+        ("Id=companion@3.service\nNice=[not set]\nnothing", "950000", WARNING, "companion@3: normal class"),
+        ("", "950000", UNKNOWN, "no agent of this computer is a service"),
+    ],
+)
+def test_how_the_kernel_runs_the_agents(
+    board: Make, agents: str, runtime_us: str, verdict: HostVerdict, found: str
+) -> None:
+    finding = scheduling(
+        board({"proc/sys/kernel/sched_rt_runtime_us": runtime_us}, outputs=OUTPUTS | {"agents": agents})
+    )
+    assert finding.verdict is verdict
+    assert found in finding.found
+    assert bool(finding.remedy) is (verdict in (WARNING, PROBLEM))
