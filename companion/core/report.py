@@ -130,6 +130,7 @@ class ReportStage:
             armed=vehicle.armed,
             rft=(rft.position_enu_m, rft.velocity_enu_m_s, rft.acceleration_enu_m_s2) if rft else None,
             home_enu_m=None if vehicle.returns_elsewhere else vehicle.home_enu_m,
+            lost=consensus.peers.lost,
         )
 
     def _status(self, decided: Decision) -> Status:

@@ -9,8 +9,12 @@ from msgspec import Meta, Struct
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference, LeaderBeacon
-from companion.types.values import Number, Part, Place, Position, Vector3
+from companion.types.values import Number, Part, Place, Position, Vector3, VehicleId
 
+FORGOTTEN_S = 600.0  # a vehicle that is silent for so long is no obstacle any more: its battery lasts no longer
+MOST_LOST = 8  # so many in a packet
+
+LostAge = Annotated[float, Meta(ge=0, le=FORGOTTEN_S)]
 TermSignature = Annotated[bytes, Meta(min_length=64, max_length=64)]
 """ECDSA P-256: r and s, 32 bytes each."""
 
@@ -55,13 +59,22 @@ class LeaderReport(Part, frozen=True, gc=False):
     proof: TermProof | None = None
 
 
+class LostVehicle(Struct, frozen=True, gc=False):
+    """A vehicle that was armed when it fell silent, by its last packet. `age_s`: of its state, when this is sent."""
+
+    vehicle_id: VehicleId
+    position_enu_m: Position
+    velocity_enu_m_s: Vector3
+    age_s: LostAge
+
+
 class PeerPacket(Struct, frozen=True, gc=False):
     """State of a vehicle that it publishes to its peers at every tick.
 
     `change` is from a leader in formation, for vehicles that lack the change. `rft` is the state of the RFT (position,
     velocity, acceleration) by which a vehicle flies that is kept off its slot; None where its own position minus its slot
-    counts. `home_enu_m` is where its autopilot's return ends, None where that is not certain. The order of the fields is that
-    of the bytes.
+    counts. `home_enu_m` is where its autopilot's return ends, None where that is not certain. `lost` tells vehicles that start
+    later of those that are silent and may still be in the air. The order of the fields is that of the bytes.
     """
 
     sender: Sender
@@ -76,6 +89,7 @@ class PeerPacket(Struct, frozen=True, gc=False):
     armed: bool = True
     rft: tuple[Vector3, Vector3, Vector3] | None = None
     home_enu_m: Place | None = None
+    lost: tuple[LostVehicle, ...] = ()
 
 
 class ReceivedPeerPacket(Struct, frozen=True, gc=False):

@@ -8,7 +8,7 @@ receiver of ADS-B needs it.
 from __future__ import annotations
 
 import re
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 from msgspec.structs import astuple
@@ -20,7 +20,10 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import EAST, FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import (
+    MOST_LOST,
     LeaderReport,
+    LostAge,
+    LostVehicle,
     Motion,
     PeerPacket,
     Sender,
@@ -38,13 +41,14 @@ from companion.types.values import (
     MissionTime,
     Number,
     Place,
+    Position,
     SlotsOfAll,
     Vector3,
     VehicleId,
     VehicleIds,
 )
 
-WIRE_VERSION = 9
+WIRE_VERSION = 10
 
 T = TypeVar("T")
 
@@ -218,6 +222,7 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     rft: tuple[Vector3, Vector3, Vector3] | None  # position, velocity, acceleration
     term_proof: tuple[Number, TermSignature] | None
     home_enu_m: Place | None
+    lost: Annotated[tuple[tuple[VehicleId, Position, Vector3, LostAge], ...], msgspec.Meta(max_length=MOST_LOST)]
 
 
 _peer_decoder = msgspec.msgpack.Decoder(_PeerWire)
@@ -252,6 +257,7 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 rft=packet.rft,
                 term_proof=(proof.session, proof.signature) if proof else None,
                 home_enu_m=packet.home_enu_m,
+                lost=tuple([astuple(lost) for lost in packet.lost]) if packet.lost else (),
             )
         )
     )
@@ -292,4 +298,5 @@ def decode_peer(data: bytes) -> PeerPacket:
         armed=wire.armed,
         rft=wire.rft,
         home_enu_m=wire.home_enu_m,
+        lost=tuple([LostVehicle(*lost) for lost in wire.lost]) if wire.lost else (),
     )

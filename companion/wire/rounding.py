@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from companion.geometry.vectors import rounded
 from companion.types.autopilot import AttitudeTarget, PositionError
 from companion.types.formation import FlownSlot, Heading, LeaderBeacon
-from companion.types.peers import PeerPacket
+from companion.types.peers import LostVehicle, PeerPacket
 from companion.types.status import ControlReport, MotionReport, SeparationReport, Status
 from companion.types.tick import Outbox
 from companion.types.values import Vector3
@@ -64,6 +64,7 @@ def _round_packet(packet: PeerPacket) -> PeerPacket:
         slot=_slot(packet.slot),
         position_error=_error(error) if error else None,
         rft=_motion(*rft) if rft else None,
+        lost=tuple([_lost(lost) for lost in packet.lost]) if packet.lost else (),
     )
 
 
@@ -113,6 +114,15 @@ def _motion(
         rounded(position_enu_m, LENGTH),
         rounded(velocity_enu_m_s, VELOCITY),
         rounded(acceleration_enu_m_s2, ACCELERATION),
+    )
+
+
+def _lost(lost: LostVehicle) -> LostVehicle:
+    return LostVehicle(
+        lost.vehicle_id,
+        rounded(lost.position_enu_m, LENGTH),
+        rounded(lost.velocity_enu_m_s, VELOCITY),
+        round(lost.age_s, TIME),
     )
 
 

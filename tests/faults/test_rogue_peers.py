@@ -33,7 +33,7 @@ REJECTED = {
     f"{Code.PEER_NOT_FINITE} 3",
     f"{Code.PEER_POSITION_IMPLAUSIBLE} 3",
     f"{Code.PEER_NOT_A_LEADER} 3",
-    f"{Code.WIRE_VERSION_DIFFERS} 10",
+    f"{Code.WIRE_VERSION_DIFFERS} 11",
     Code.PEER_MALFORMED,
     Code.PEER_KEY_MISMATCH,
 }
@@ -64,7 +64,7 @@ def rogue_packets(formation_hash: int) -> Iterator[bytes]:
     yield encode_peer(with_fields(packet, position_enu_m=(1e9, 0.0, 0.0)))
     yield encode_peer(with_fields(packet, role=Role.LEADER, prc=1))
     good = encode_peer(packet)
-    yield b"\x0a" + good[1:]
+    yield b"\x0b" + good[1:]
     yield good[:-7]
     yield good
 

@@ -23,17 +23,19 @@ DEAD, SPARE = 4, 5
 REST = (1, 2, 3)
 DIES_S = 14.0
 MAY_LEAD = (1, 2)
+AHEAD = ReferenceRequest(None, {"kind": "waypoints"}, ([0.0, 0.0, 2.0], [6.0, 0.0, 2.0]))
 ASIDE = ReferenceRequest(None, {"kind": "waypoints"}, ([0.0, 0.0, 2.0], [0.0, 8.0, 2.0]))
 COLUMN = {i: (-2.0 * (i - 1), 0.0, 0.0) for i in range(1, 6)}
 IN_ITS_PLACE = COLUMN | {SPARE: COLUMN[DEAD], DEAD: COLUMN[SPARE]}
 
 
 class WithoutOne(CommandedFlight):
-    """Vehicle 4 dies in formation."""
+    """Vehicle 4 dies in formation. The agents in `restarts` start again later: they have never heard of it."""
 
-    def __init__(self) -> None:
-        end = f"{{vehicle: {DEAD}, at_s: {DIES_S}}}"
-        super().__init__(SCENARIO, "fleet.when_one_leaves=keep_gap", f"agent_ends=[{end}]")
+    def __init__(self, *restarts: int) -> None:
+        ends = [f"{{vehicle: {DEAD}, at_s: {DIES_S}}}"]
+        ends += [f"{{vehicle: {i}, at_s: {DIES_S + 1.5}, restarts_after_s: 1.5}}" for i in restarts]
+        super().__init__(SCENARIO, "fleet.when_one_leaves=keep_gap", f"agent_ends=[{','.join(ends)}]")
         assert self.lockstep.now_s() < DIES_S
 
     def reports(self) -> Mapping[int, Status]:
@@ -109,4 +111,19 @@ def test_the_rest_flies_on_and_a_spare_takes_the_slot_of_the_dead_one() -> None:
     assert slots[SPARE] == (-9.0, 0.0, 0.0)
     flight.change(FormationRequest("line", None, 2.5, 90.0, 1.0))
     assert max(flight.errors_m().values()) < 0.2
+    assert flight.smallest_m(began_s) > 1.0
+
+
+def test_a_vehicle_whose_agent_started_after_the_death_keeps_off_the_dead_one() -> None:
+    """The others tell it where the dead one was. Its way into formation leads straight through that place."""
+    flight = WithoutOne(SPARE)
+    flight.land(SPARE)
+    flight.go_on(DIES_S + 4.0 - flight.lockstep.now_s())
+    began_s = flight.lockstep.now_s()
+    del flight.newest[DEAD]
+    flight.order(FleetAction("reference", reference=AHEAD), *MAY_LEAD)
+    flight.take_off_again(SPARE)
+    flight.give(CommandName.FORM, SPARE)
+    flight.until(SPARE, FlightPhase.FORMATION)
+    flight.go_on(9.0)
     assert flight.smallest_m(began_s) > 1.0

@@ -156,11 +156,11 @@ def test_rejected_packets_are_counted_reported_and_logged_once_a_second(files: A
         closing(open_session((), (files.zenoh,))) as rogue,
     ):
         newest(session)
-        key = f"{Code.WIRE_VERSION_DIFFERS} 10"
+        key = f"{Code.WIRE_VERSION_DIFFERS} 11"
         start_s = time.monotonic()
 
         def disturbed() -> bool:
-            rogue.put(peer_key("processtest", 2), b"\x0awhatever")
+            rogue.put(peer_key("processtest", 2), b"\x0bwhatever")
             return newest(session).status.rejected.get(key, 0) >= 30
 
         until(disturbed, timeout_s=60.0)

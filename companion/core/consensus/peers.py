@@ -18,10 +18,19 @@ from companion.core.consensus.law import FormationState
 from companion.core.consensus.message_order import Disorder, Stream, following
 from companion.geometry.vectors import extrapolated, shortened
 from companion.types.commands import MAX_EPOCH
-from companion.types.flight import STREAMING, Role
+from companion.types.flight import STREAMING, FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, Term
 from companion.types.notices import Code
-from companion.types.peers import LeaderReport, PeerPacket, ReceivedPeerPacket
+from companion.types.peers import (
+    FORGOTTEN_S,
+    MOST_LOST,
+    LeaderReport,
+    LostVehicle,
+    Motion,
+    PeerPacket,
+    ReceivedPeerPacket,
+    Sender,
+)
 from companion.types.rejections import count_rejection, rejection_key
 from companion.types.values import MAX_CHANGE_S, MAX_COORDINATE_M, MAX_MISSION_S, ZERO3, Vector3
 
@@ -157,6 +166,7 @@ EXTRAPOLATED_MOST_S = 0.04
 EXTRAPOLATED_NEAR_LEADER_S, NEAR_LEADER_PRC = 0.08, 3
 DISTANT_MAX_AGE_S = 1.0  # for a peer received at 5 Hz: four lost packets and the usual delay
 FULL_RATE_WITHIN_S = 0.5  # after such a peer is to be received at 50 Hz, its first packets have arrived
+LOST_AFTER_S = 2.0  # silent for longer than a distant peer may be
 JUMP_MARGIN_M = 1.0  # an estimator correction may add this to the distance flown between two packets
 
 
@@ -261,6 +271,8 @@ class PeerTable:
             code = refusal_of_claims(packet, self._fleet) or refusal_of_motion(packet, self._limits, known)
             code = code or self._take(received, before, epochs_up_to)
             if code is None:
+                if packet.lost:
+                    self._hear_of(packet.lost, received.received_s)
                 continue
             if code in DUPLICATES:
                 self.duplicate_id_s = received.received_s
@@ -315,6 +327,35 @@ class PeerTable:
             packet, received_s, stream.clock.least_apart_s, measured_s, term, received.proven, contradicts
         )
         return None
+
+    def _hear_of(self, lost: Iterable[LostVehicle], received_s: float) -> None:
+        """Take the silent vehicles that this one never heard itself: its agent may have started after they fell silent.
+
+        They are kept off. Their own first packet replaces what others said of them.
+        """
+        fleet, limits = self._fleet, self._limits
+        for one in lost:
+            i, speed_m_s = one.vehicle_id, hypot(*one.velocity_enu_m_s)
+            if i in self.known or i == fleet.own_id or i not in fleet.may_lead:
+                continue
+            if one.age_s < LOST_AFTER_S or not speed_m_s <= limits.speed_m_s:  # or not finite
+                continue
+            packet = PeerPacket(
+                sender=Sender(i, 0, 0, fleet.formation_hash),
+                phase=FlightPhase.OBSERVE,
+                role=Role.FOLLOWER,
+                motion=Motion(one.position_enu_m, one.velocity_enu_m_s, ZERO3, one.age_s, 0.0),
+                leader=LeaderReport(len(fleet.may_lead), None),
+                slot=FlownSlot(ZERO3),
+            )
+            self.known[i] = PeerState(packet, received_s, 0.0, received_s - one.age_s)
+
+    def lost(self, now_s: float) -> tuple[LostVehicle, ...]:
+        """The vehicles that were armed when they fell silent, those of the last FORGOTTEN_S."""
+        ages_s = {i: now_s - p.measured_s for i, p in self.known.items() if p.packet.armed}
+        silent = sorted((age_s, i) for i, age_s in ages_s.items() if LOST_AFTER_S < age_s < FORGOTTEN_S)
+        motions = [(i, age_s, self.known[i].packet.motion) for age_s, i in silent[:MOST_LOST]]
+        return tuple([LostVehicle(i, m.position_enu_m, m.velocity_enu_m_s, age_s) for i, age_s, m in motions])
 
     def in_time(self, now_s: float) -> tuple[dict[int, PeerState], dict[int, PeerState]]:
         """(fresh, present) peers: those not older than `peers.max_age_s`, without the distant ones; and these as well.

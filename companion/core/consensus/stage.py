@@ -49,7 +49,7 @@ from companion.types.commands import EPOCHS_AHEAD, NUMBERS_AHEAD, Command, Lead
 from companion.types.flight import COOPERATING, STREAMING, Flight, FlightPhase, HealthFlag, Role
 from companion.types.formation import Heading, LeaderBeacon, Term
 from companion.types.notices import Answer, Notice
-from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.types.peers import LostVehicle, PeerPacket, ReceivedPeerPacket
 
 # Member lookup of an enum is slow, and every tick needs these.
 LEADER, FOLLOWER, FORMATION = Role.LEADER, Role.FOLLOWER, FlightPhase.FORMATION
@@ -97,6 +97,7 @@ class PeerSets(Struct, frozen=True, gc=False):
     fresh: Mapping[int, PeerState] = {}  # received at 50 Hz and in time: law and separation filter use these
     flying: tuple[PeerPacket, ...] = ()  # the present ones in a cooperating phase
     duplicate_id_s: float = -inf  # when a packet of a second agent with a known id last came
+    lost: tuple[LostVehicle, ...] = ()  # those that fell silent, and may still be in the air
     in_doubt: tuple[int, ...] = ()  # those that send positions and velocities that contradict each other
     rejected: Mapping[str, int] = {}
 
@@ -227,6 +228,7 @@ class ConsensusStage:
             fresh=fresh,
             flying=tuple(flying),
             duplicate_id_s=table.duplicate_id_s,
+            lost=table.lost(now_s) if len(present) < len(table.known) else (),
             in_doubt=table.in_doubt(now_s) if len(present) < len(table.known) else (),
             rejected=table.rejected,
         )

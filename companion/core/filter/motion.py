@@ -19,7 +19,7 @@ from companion.geometry.vectors import shortened
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FlownSlot
-from companion.types.peers import ReceivedTraffic, TrafficSample
+from companion.types.peers import FORGOTTEN_S, ReceivedTraffic, TrafficSample
 from companion.types.values import ZERO3, Vector3
 
 # From a commanded to the flown acceleration: the mean delay of the attitude step response, measured with PX4 (docs/law.md).
@@ -177,7 +177,6 @@ def _between(one: Motion, other: Motion, share: float) -> Motion:
 
 FORMATION = FlightPhase.FORMATION
 NEAR_M, NEAR_S = 8.0, 3.0  # farther than NEAR_M + NEAR_S * relative speed nothing is computed
-FORGOTTEN_S = 600.0  # a vehicle that is silent for so long is no obstacle any more: its battery lasts no longer
 TRAFFIC_EXTRAPOLATED_S = 5.0  # an aircraft holds its course
 TRAFFIC_SILENCE = Silence(
     TRAFFIC_EXTRAPOLATED_S, TRAFFIC_EXTRAPOLATED_S, TRAFFIC_EXTRAPOLATED_S, AUTOPILOT_BRAKES_M_S2, lands=False

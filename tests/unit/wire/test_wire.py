@@ -26,7 +26,7 @@ from companion.types.commands import (
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import EAST, FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
-from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender, TargetSample, TermProof
+from companion.types.peers import LeaderReport, LostVehicle, Motion, PeerPacket, Sender, TargetSample, TermProof
 from companion.types.status import (
     AgentIdentity,
     AutopilotReport,
@@ -60,7 +60,8 @@ vectors = st.tuples(numbers, numbers, numbers)
 counts = st.integers(0, MAX_NUMBER)
 ids = st.integers(1, 250)
 coordinates = st.floats(-MAX_COORDINATE_M, MAX_COORDINATE_M)
-slots = st.lists(st.tuples(ids, st.tuples(coordinates, coordinates, coordinates)), max_size=5).map(tuple)
+places = st.tuples(coordinates, coordinates, coordinates)
+slots = st.lists(st.tuples(ids, places), max_size=5).map(tuple)
 changes = st.builds(
     FormationChange,
     counts,
@@ -90,6 +91,7 @@ packets = st.builds(
     change=st.none() | changes,
     rft=st.none() | st.tuples(vectors, vectors, vectors),
     home_enu_m=st.none() | st.tuples(st.floats(-MAX_COORDINATE_M, MAX_COORDINATE_M), st.floats(-9.0, 9.0)),
+    lost=st.lists(st.builds(LostVehicle, ids, places, vectors, st.floats(0.0, 600.0)), max_size=8).map(tuple),
 )
 percentiles = st.builds(Percentiles, numbers, numbers, numbers)
 reports = st.builds(
@@ -251,8 +253,8 @@ def test_deep_nesting_and_huge_counts_are_malformed(name: str, payload: bytes) -
 @pytest.mark.parametrize("name", DECODERS)
 def test_other_wire_version_is_not_reported_as_malformed(name: str) -> None:
     decode, good = DECODERS[name]
-    with pytest.raises(WireError, match=f"wire version 10, expected {WIRE_VERSION}"):
-        decode(b"\x0a" + good[1:])
+    with pytest.raises(WireError, match=f"wire version 11, expected {WIRE_VERSION}"):
+        decode(b"\x0b" + good[1:])
     with pytest.raises(WireError, match=f"malformed {name}"):
         decode(good[:-1])
     with pytest.raises(WireError, match="empty message"):

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from common import NOW_S, peer
 from companion.core.consensus.peers import PeerState
 from companion.core.filter.motion import (
-    FORGOTTEN_S,
     KEPT_S,
     Ahead,
     Motion,
@@ -21,6 +20,7 @@ from companion.core.filter.motion import (
     nearest_on_way,
 )
 from companion.types.autopilot import VehicleState
+from companion.types.peers import FORGOTTEN_S
 from companion.types.values import ZERO3, Vector3
 
 BRAKING_M_S2 = 2.0
