@@ -106,6 +106,14 @@ def test_setpoint_slews_towards_the_command() -> None:
     assert first.roll_rad == pytest.approx(0.3)
 
 
+def test_yaw_slews_the_short_way_round() -> None:
+    gate = OutputLimiter(LIMITS)
+    gate.open_at(0.0, AttitudeTarget(0.0, 0.0, radians(179.0), 0.5), 0.5)
+    admitted = gate.admit(0.02, AttitudeTarget(0.0, 0.0, radians(-179.0), 0.5), 0.5)
+    assert admitted is not None
+    assert admitted.yaw_rad == pytest.approx(radians(-179.0))
+
+
 def test_closed_limiter_passes_no_setpoint() -> None:
     assert OutputLimiter(LIMITS).admit(1.0, LEVEL, 0.5) is None
 

@@ -7,6 +7,7 @@ from math import dist
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from common import NOW_S, peer
 from companion.core.consensus.peers import PeerState
@@ -85,6 +86,18 @@ def test_a_vehicle_that_is_silent_for_ten_minutes_is_forgotten() -> None:
     for age_s, near in ((FORGOTTEN_S - 1.0, [1]), (FORGOTTEN_S + 1.0, [])):
         known = {1: PeerState(last.packet, NOW_S - age_s, NOW_S - age_s, NOW_S - age_s)}
         assert [other.key for other in motions.peers(NOW_S, vehicle, True, known, {})] == near
+
+
+def test_a_vehicle_that_contradicts_itself_may_be_where_a_silent_one_is() -> None:
+    honest, motions = peer(1), Motions(2, PEER)
+    x, y, z = honest.packet.motion.position_enu_m
+    vehicle = VehicleState(position_enu_m=(x + 2.0, y, z), position_time_s=NOW_S)
+    (other,) = motions.peers(NOW_S, vehicle, True, {1: honest}, {1: honest})
+    assert other.silence is None
+    (other,) = motions.peers(NOW_S, vehicle, True, {1: replace(honest, contradicts=True)}, {})
+    assert other.silence is not None
+    assert other.silence.begins_s < 0.0
+    assert not other.silence.lands
 
 
 METRES = st.floats(-50.0, 50.0)

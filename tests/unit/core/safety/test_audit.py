@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from companion.core.autopilot import SentFrom
 from companion.core.safety.audit import AuditFinding, Facts, FleetFence, FoundHome, PositionCheck, Verdict, audit, worst
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import AutopilotKind
@@ -222,6 +223,12 @@ BENCH = Facts(
 )
 
 
+SENT_FROM = SentFrom("EXTENDED_SYS_STATE", "PX4 1.13 and later", "upgrade")
+NO_LANDED_STATES = replace(
+    BENCH, rates_hz={**BENCH.rates_hz, "landed states": 0.0}, messages={"landed states": SENT_FROM}
+)
+
+
 def verdicts(facts: Facts) -> dict[str, Verdict]:
     return {found.subject: found.verdict for found in audit(facts)}
 
@@ -254,6 +261,9 @@ def test_vehicle_in_order_has_no_findings() -> None:
         (replace(BENCH, battery_percent=19.0), "battery", REFUSAL),
         (replace(BENCH, battery_percent=-1.0), "battery", WARNING),
         (replace(BENCH, armed=True), "mode", WARNING),
+        (replace(BENCH, interleaves=True), "autopilot", REFUSAL),
+        (replace(BENCH, round_trip_s=0.11), "round trip", REFUSAL),
+        (replace(NO_LANDED_STATES, missing={"landed states"}), "landed states", REFUSAL),
     ],
 )
 def test_each_defect_has_one_finding(facts: Facts, subject: str, verdict: Verdict) -> None:
@@ -261,6 +271,16 @@ def test_each_defect_has_one_finding(facts: Facts, subject: str, verdict: Verdic
     found = next(found for found in audit(facts) if found.subject == subject)
     assert found.remedy
     assert found.remedy in str(found)
+
+
+def test_a_short_round_trip_is_in_order() -> None:
+    assert verdicts(replace(BENCH, round_trip_s=0.003))["round trip"] is OK
+
+
+def test_a_message_that_never_comes_is_named_with_its_senders() -> None:
+    (found,) = [f for f in audit(replace(NO_LANDED_STATES, missing={"landed states"})) if f.verdict is REFUSAL]
+    assert found.code is Code.MESSAGE_MISSING
+    assert "EXTENDED_SYS_STATE, which PX4 1.13 and later send" in found.wanted
 
 
 def test_facts_that_are_not_checked_have_no_finding() -> None:

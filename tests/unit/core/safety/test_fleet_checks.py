@@ -38,6 +38,11 @@ def test_takeoff_is_refused_when_altitudes_differ(name: CommandName) -> None:
     assert "vehicle 3 is 1.4 m above vehicle 1" in refusal.text
 
 
+def test_two_autopilots_with_one_id_keep_it_on_the_ground() -> None:
+    (refusal,) = CHECKS.lacks(replace(vehicle(), interleaves=True), [])
+    assert refusal.code is Code.AUTOPILOT_ID_SHARED
+
+
 @pytest.mark.parametrize("name", [CommandName.ARM, CommandName.TAKEOFF])
 @pytest.mark.parametrize("kind", list(AutopilotKind))
 def test_a_vehicle_without_the_altitude_that_its_take_off_needs_is_not_armed(

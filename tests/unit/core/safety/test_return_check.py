@@ -161,6 +161,15 @@ def test_peers_stop_and_return_from_where_they_stop_as_well() -> None:
     assert refused(side_by_side, with_fields(comes, home_enu_m=(-3.5, 0.0))) is None
 
 
+def test_a_vehicle_that_returns_stops_at_its_home_at_the_latest() -> None:
+    """At 4 m/s it would need 5.8 m to stop, through the path of the other; its home is 3 m ahead."""
+    near_home = with_fields(
+        peer_in(P.RETURN, (-4.0, 5.0, 5.0)), velocity_enu_m_s=(4.0, 0.0, 0.0), home_enu_m=(-1.5, 5.0)
+    )
+    assert refused(HOMEWARD, near_home) is None
+    assert code_of(refused(HOMEWARD, with_fields(near_home, phase=P.FORMATION))) is Code.RETURN_PATH_TOO_CLOSE
+
+
 def test_a_vehicle_on_its_way_home_is_counted_with_the_noise_of_both() -> None:
     noisy = PositionError(0.6, 1.0)
     vehicle = replace(HOMEWARD, position_error=noisy)
