@@ -29,7 +29,7 @@ class Sender(Part, frozen=True, gc=False):
 
 
 class Motion(Part, frozen=True, gc=False):
-    """Position and velocity, and the last acceleration command.
+    """Position and velocity, and the last acceleration command; of a vehicle under a pilot what its attitude shows.
 
     `state_age_s` is the age of the position at `sent_s`, which is of the sender's monotonic clock.
     """

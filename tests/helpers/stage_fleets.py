@@ -261,7 +261,12 @@ class SeparationFlight:
 
     def _send(self, i: int, state: VehicleState) -> None:
         body = self.bodies[i]
-        streams = body.phase is FlightPhase.FORMATION
+        acceleration_enu_m_s2 = ZERO3
+        if body.phase is FlightPhase.FORMATION:
+            acceleration_enu_m_s2 = self._commanded[i]
+        elif body.phase is FlightPhase.OBSERVE:  # as its attitude shows
+            (x, y, _), (vx, vy, _) = self._low[i][1], body.velocity_enu_m_s
+            acceleration_enu_m_s2 = (x - DRAG_1_S * vx, y - DRAG_1_S * vy, 0.0)
         packet = PeerPacket(
             sender=Sender(vehicle_id=i, session=1, sequence=self._sequence, formation_hash=1),
             phase=body.phase,
@@ -269,7 +274,7 @@ class SeparationFlight:
             motion=Motion(
                 position_enu_m=state.position_enu_m,
                 velocity_enu_m_s=state.velocity_enu_m_s,
-                acceleration_enu_m_s2=self._commanded[i] if streams else ZERO3,
+                acceleration_enu_m_s2=acceleration_enu_m_s2,
                 state_age_s=0.0,
                 sent_s=self.now_s,
             ),

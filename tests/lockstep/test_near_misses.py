@@ -10,10 +10,11 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from companion.types.notices import Code
 from sitl.flight.scenario import Scenario, load_scenario
-from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
+from sitl.flight.virtual_flight import Flown, fly_in_virtual_time, fly_without_landing
 from sitl.gauntlet.flight import distances
 from sitl.report.progress import FlightProgress
 
@@ -40,6 +41,40 @@ def test_no_vehicle_comes_nearer_than(case: str, ratio: float) -> None:
     nearest = distances(flight.stand_ins).commanded
     assert nearest is not None
     assert nearest.distance_m >= ratio * scenario.fleet.separation_m
+
+
+def turned_on_its_neighbour(seed: int, at_s: float, north_m_s: float) -> Scenario:
+    """`pilot_in_front` with another pilot, up to 2.5 s after the takeover."""
+    scenario = load_scenario(CASES / "pilot_in_front.yaml")
+    pilot = replace(scenario.stand_in.pilots[0], at_s=at_s, velocity_enu_m_s=(0.084, north_m_s, -0.003))
+    last = replace(scenario.timeline[-1], at_s=at_s + 2.0, for_s=0.5)
+    stand_in = replace(scenario.stand_in, seed=seed, pilots=(pilot,))
+    return replace(scenario, stand_in=stand_in, timeline=(*scenario.timeline[:-1], last))
+
+
+@pytest.mark.parametrize(
+    ("seed", "at_s", "north_m_s"),
+    [
+        (97511, 10.0, -1.9),
+        (4, 10.12, -1.9),
+        (3, 11.2, -1.9),
+        *(
+            pytest.param(seed, at_s, north_m_s, marks=pytest.mark.long)
+            for seed in (1, 2, 3, 4)
+            for at_s in (9.2, 9.6, 9.85, 10.7)
+            for north_m_s in (-0.7, -1.319, -1.9)
+        ),
+    ],
+)
+def test_a_neighbour_answers_a_pilot_before_its_vehicle_is_fast(seed: int, at_s: float, north_m_s: float) -> None:
+    """It was 0.81, 0.76 and 0.81 for the first three: nothing but a velocity showed what the pilot does."""
+    scenario = turned_on_its_neighbour(seed, at_s, north_m_s)
+    flight = fly_without_landing(scenario, FlightProgress("pilot", True, 0.0))
+    assert flight.failure is None
+    nearest = distances(flight.stand_ins).commanded
+    assert nearest is not None
+    assert nearest.vehicles == (2, 3)
+    assert nearest.distance_m >= 0.95 * scenario.fleet.separation_m
 
 
 def test_a_vehicle_that_is_pressed_up_goes_aside_below_the_ceiling() -> None:

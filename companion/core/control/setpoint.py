@@ -27,7 +27,7 @@ from companion.core.formation.guidance import Guidance
 from companion.core.safety.limits import OutputLimiter, OutputLimits
 from companion.core.safety.safeguard import Safety
 from companion.geometry.vectors import between, shortened
-from companion.types.autopilot import AttitudeTarget, AutopilotMode, LandedState, VehicleState
+from companion.types.autopilot import AttitudeTarget, AutopilotMode, LandedState, VehicleState, in_air
 from companion.types.flight import COOPERATING, FailsafeAction, Flight, FlightPhase
 from companion.types.notices import Code
 from companion.types.peers import ReceivedTraffic
@@ -38,6 +38,7 @@ from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 UNFILTERED = SeparationReport()
 # Member lookup of an enum is slow, and every tick needs these.
 ENGAGE, FORMATION, TAKEOFF = FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.TAKEOFF
+OBSERVE = FlightPhase.OBSERVE
 OFFBOARD, STOP_STREAM = AutopilotMode.OFFBOARD, FailsafeAction.STOP_STREAM
 OFF_THE_GROUND = (LandedState.IN_AIR, LandedState.TAKEOFF)
 CLIMBS_M_S = 0.3  # faster than that it is not on the ground any more
@@ -47,7 +48,7 @@ class Setpoint(Struct, frozen=True, gc=False):
     """The attitude target of this tick, None where nothing is to be sent, and what was estimated for it.
 
     `sent_s` is when the last one was sent, or the stream began. `acceleration_enu_m_s2` is what the autopilot is believed
-    to fly.
+    to fly, also under a pilot.
     """
 
     target: AttitudeTarget | None
@@ -139,15 +140,15 @@ class SetpointStage:
             self._kept_off.end()
         elif self._removed_m_s2 > 0.0 or self._kept_off.is_kept_off:
             rft = self._published_rft(now_s, vehicle, consensus, guidance)
-        observer = stream.observer
+        flown_enu_m_s2 = stream.flown_acceleration_enu_m_s2(now_s, self._flown_for_s) if flight.streams else ZERO3
+        if phase is OBSERVE:
+            flown_enu_m_s2 = self._piloted(now_s, vehicle)
         return Setpoint(
             target=attitude_target,
             sent_s=stream.sent_s,
-            acceleration_enu_m_s2=(
-                stream.flown_acceleration_enu_m_s2(now_s, self._flown_for_s) if flight.streams else ZERO3
-            ),
-            hover_thrust_norm=observer.hover_thrust_norm,
-            disturbance_enu_m_s2=observer.disturbance_enu_m_s2,
+            acceleration_enu_m_s2=flown_enu_m_s2,
+            hover_thrust_norm=stream.observer.hover_thrust_norm,
+            disturbance_enu_m_s2=stream.observer.disturbance_enu_m_s2,
             largest_step_deg=stream.largest_step_deg,
             rejected=stream.rejected,
             separation=self._separation if flight.streams else UNFILTERED,
@@ -198,6 +199,18 @@ class SetpointStage:
         own = formation_state(position_enu_m, vehicle.velocity_enu_m_s, guidance.slot)
         return self._kept_off.rft(now_s, own, rft)
 
+    def _piloted(self, now_s: float, vehicle: VehicleState) -> Vector3:
+        """The acceleration that the attitude shows: peers hear of a pilot's turn before the velocity changes.
+
+        Of the autopilot's own modes peers expect everything from braking to flying on.
+        """
+        if now_s - vehicle.attitude_time_s > ATTITUDE_FRESH_S or not in_air(vehicle):
+            return ZERO3
+        x, y = level_acceleration(vehicle.roll_rad, vehicle.pitch_rad, vehicle.yaw_rad)
+        (vx, vy, _), (dx, dy, _) = vehicle.velocity_enu_m_s, self._stream.observer.disturbance_enu_m_s2
+        flown_enu_m_s2 = (x - self._drag_1_s * vx + dx, y - self._drag_1_s * vy + dy, 0.0)
+        return shortened(flown_enu_m_s2, self._stream.largest_level_m_s2)
+
     def _braking(self, vehicle: VehicleState) -> Vector3:
         """Against the velocity, and back to the altitude held; m/s^2 in ENU."""
         climb_m = vehicle.position_enu_m[2] - self._hold_altitude_m
@@ -226,6 +239,7 @@ class SetpointStage:
         return vehicle.mode is OFFBOARD and profile_of(vehicle, self._profiles).flies_on_in_silence
 
 
+ATTITUDE_FRESH_S = 0.1  # five periods of 50 Hz
 THRUST_FRESH_S = 0.3  # PX4 sends its thrust 10 times a second by default
 
 
@@ -248,6 +262,11 @@ class SetpointStream:
         self._commanded_enu_m_s2 = ZERO3  # commanded by the last setpoint, without the part against the disturbance
         self.sent = AttitudeTarget(0.0, 0.0, 0.0, 0.0)  # the last setpoint
         self._yaw_rad = 0.0
+
+    @property
+    def largest_level_m_s2(self) -> float:
+        """At the largest tilt, at a constant height."""
+        return GRAVITY_M_S2 * tan(self._limits.max_tilt_rad)
 
     def open(self, now_s: float, vehicle: VehicleState) -> None:
         """Begin a stream from what the vehicle does now."""
@@ -358,3 +377,16 @@ def attitude_target(
     pitch = atan(ax * cos_yaw + ay * sin_yaw)
     roll = atan(cos(pitch) * (ax * sin_yaw - ay * cos_yaw))
     return AttitudeTarget(roll, pitch, yaw_rad, hover_thrust_norm * lift / (GRAVITY_M_S2 * vertical_share))
+
+
+def level_acceleration(roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[float, float]:
+    """(east, north) m/s^2 in still air at this attitude and a constant height: the reverse of `attitude_target`.
+
+    No acceleration beyond +-pi/2, where no thrust carries the vehicle.
+    """
+    cos_roll, cos_pitch = cos(roll_rad), cos(pitch_rad)
+    if not (cos_roll > 0.0 and cos_pitch > 0.0):
+        return (0.0, 0.0)
+    ahead, right = tan(pitch_rad), tan(roll_rad) / cos_pitch
+    cos_yaw, sin_yaw = cos(yaw_rad), sin(yaw_rad)
+    return GRAVITY_M_S2 * (ahead * cos_yaw + right * sin_yaw), GRAVITY_M_S2 * (ahead * sin_yaw - right * cos_yaw)

@@ -41,6 +41,7 @@ GROWS_S = 0.4  # in this time the region of a silent vehicle grows from the expe
 DESCENT_M_S = 1.5  # speed of an autopilot landing: PX4 MPC_Z_V_AUTO_DN, more than its MPC_LAND_SPEED of 0.7
 LANDS_S = 0.6  # PX4's smallest COM_OF_LOSS_T that the audit accepts (SHORTEST_TIMEOUT_S)
 AUTOPILOT_BRAKES_M_S2 = 5.0  # a hold or a stick that is let go: PX4 MPC_ACC_HOR_MAX
+PILOT_LEAPS_M = 0.2  # 0.3 s of 4 m/s^2: until others have heard of it and tilt themselves
 SPEED_MARGIN_RATIO = 1.25  # a silent vehicle is assumed to fly at most this times the speed limit
 COLUMN_M_S = 1.0  # growth of the distance that a vehicle below keeps
 
@@ -52,7 +53,8 @@ class Silence(Struct, frozen=True, gc=False):
     """From which age of its last state on a vehicle counts as silent, and how it may fly then.
 
     It brakes after `brakes_s` at the earliest, by at most `braking_m_s2`, and keeps its attitude until `kept_s`. It flies
-    `most_m_s` at most: one packet may report any velocity. `lands`: it may do so.
+    `most_m_s` at most: one packet may report any velocity. `lands`: it may do so. It may come nearer by `leaps_m` before the
+    others answer.
 
     An agent that fails levels and requests a hold before it falls silent. An autopilot without setpoints keeps the last
     attitude for about 1 s (PX4 COM_OF_LOSS_T, ArduCopter GUID_TIMEOUT). PX4 then brakes to a hold or lands (COM_OBL_RC_ACT);
@@ -66,6 +68,7 @@ class Silence(Struct, frozen=True, gc=False):
     braking_m_s2: float
     most_m_s: float = inf
     lands: bool = True
+    leaps_m: float = 0.0
 
 
 def nearest_on_way(own: Ahead, last: Motion, age_s: float, ahead_s: float, silence: Silence, weight: float) -> Motion:
@@ -175,7 +178,7 @@ def _between(one: Motion, other: Motion, share: float) -> Motion:
     )
 
 
-FORMATION = FlightPhase.FORMATION
+FORMATION, OBSERVE = FlightPhase.FORMATION, FlightPhase.OBSERVE
 NEAR_M, NEAR_S = 8.0, 3.0  # farther than NEAR_M + NEAR_S * relative speed nothing is computed
 TRAFFIC_EXTRAPOLATED_S = 5.0  # an aircraft holds its course
 TRAFFIC_SILENCE = Silence(
@@ -186,6 +189,8 @@ NO_ERROR = PositionError(0.0, 0.0)
 
 class Other(Struct, frozen=True, gc=False):
     """Position and velocity `age_s` ago with the acceleration flown by the last command (`last`), and what it is.
+
+    Under a pilot it is the acceleration that its attitude showed.
 
     A peer that is not fresh keeps its acceleration: an autopilot without setpoints keeps its attitude at first.
     `silence`: how it may fly where its state is too old, else None.
@@ -213,6 +218,7 @@ class Motions:
         self._silence_on_ground = replace(silence, lands=False)
         # A vehicle that is leaving formation, in hold, landing or under a pilot: no command says what it flies next.
         self._on_its_own = Silence(-inf, 0.0, KEPT_S, AUTOPILOT_BRAKES_M_S2, silence.most_m_s, lands=False)
+        self._piloted = replace(self._on_its_own, leaps_m=PILOT_LEAPS_M)
         # Of one whose positions and velocities contradict each other only the position is used.
         self._in_doubt = replace(silence, begins_s=-inf, lands=False)
         self._own_enu_m_s2 = ZERO3
@@ -261,7 +267,7 @@ class Motions:
                 if not _may_meet(vehicle, there_enu_m, reaches_m_s, age_s):
                     continue
             last = before.get(peer_id)
-            if last is not None and is_fresh:
+            if last is not None and is_fresh and packet.phase is not OBSERVE:  # a pilot's is flown, not commanded
                 (lx, ly, lz), (ux, uy, uz) = last, acceleration
                 acceleration = (lx + lag_share * (ux - lx), ly + lag_share * (uy - ly), lz + lag_share * (uz - lz))
             commanded[peer_id] = acceleration
@@ -271,7 +277,7 @@ class Motions:
             elif peer.contradicts:
                 silence = self._in_doubt
             elif packet.armed and packet.phase not in STREAMING:
-                silence = self._on_its_own
+                silence = self._piloted if packet.phase is OBSERVE else self._on_its_own
             makes_way = is_fresh and packet.phase is FORMATION
             other = Other(
                 peer_id,

@@ -14,9 +14,9 @@ The filter takes the acceleration nearest to the wanted one in all of them (`sol
     all of it, and plans to brake with less, as others may stand behind it.
   - Time. Vehicles follow their commands with the lag of their attitude, and packets are late. Both vehicles are taken ahead by
     lag and age to coordinates in which they are exact double integrators (`motion.py`), where the argument above holds.
-  - D is `separation_m` and margins: position errors that both estimators report, growth while the other is silent, transport
-    delay that no receiver can see, and room to pass each other. Margins give way to obstacles and the fence, `separation_m`
-    does not: a barrier with margins has a second constraint without them, of a higher rank.
+  - D is `separation_m` and margins: position errors that both estimators report, growth while the other is silent, what a
+    pilot may do unheard, transport delay that no receiver can see, and room to pass each other. Margins give way to obstacles
+    and the fence, `separation_m` does not: a barrier with margins has a second constraint without them, of a higher rank.
   - Margins never push a formation apart: of two vehicles in slots D is at most halfway from `separation_m` to the distance of
     their slots.
   - Heights count half (`geometry/formations.py`), unknown ones of traffic nothing: n is the gradient of the weighted distance,
@@ -51,8 +51,7 @@ PLANNED_SHARE = (
 ALONE_SHARE = 0.6  # further share where only this vehicle gives way: others may be behind it
 # Transport delay that no receiver can measure without a common clock; docs/faults.md flies with as much.
 UNSEEN_DELAY_S = 0.1
-# The same and the delay of the own response, before a vehicle that flies towards this one. A pilot's vehicle reports no
-# acceleration: it may have reached 1.6 m/s in the 0.4 s before others make way.
+# The same and the delay of the own response, before a vehicle that flies towards this one.
 PURSUED_S = 0.4
 # For so long a vehicle is believed to turn away as its last packet says; then it may have changed its mind unheard.
 BELIEVED_S = 0.1
@@ -228,7 +227,7 @@ class Separation:
     def _required(
         self, own: PositionError, slot: FlownSlot | None, other: Other, offset_enu_m: Vector3, upward: float
     ) -> float:
-        """separation_m, both position errors along the line between the vehicles, and growth while the other is silent.
+        """separation_m, both position errors along the line between the vehicles, growth in silence, and leaps of a pilot.
 
         One packet may report any error, so no more than LARGEST_ERROR_RATIO counts; only that of traffic has a bound of its
         own. Less where two slots are so near that these margins would push the formation apart. Slots nearer than separation_m
@@ -246,7 +245,7 @@ class Separation:
             margin_m = min(margin_m, most_m)
         if other.silence is not None:
             silent_s = max(0.0, other.age_s - other.silence.kept_s)
-            margin_m += min(silent_s * GROWTH_M_S, LARGEST_GROWTH_RATIO * separation_m)
+            margin_m += min(silent_s * GROWTH_M_S, LARGEST_GROWTH_RATIO * separation_m) + other.silence.leaps_m
         required_m = separation_m + margin_m
         if slot is None or other.slot is None:
             return required_m

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.control.setpoint import attitude_target, limit_acceleration
+from companion.core.control.setpoint import attitude_target, level_acceleration, limit_acceleration
 from companion.core.safety.limits import OutputLimiter, OutputLimits
 from companion.geometry.airspace import Fence
 from companion.types.autopilot import AttitudeTarget
@@ -43,6 +43,17 @@ def test_attitude_and_thrust_give_the_commanded_acceleration(ux: float, uy: floa
     first = attitude_target(wanted, yaw, 0.0, 0.0, 0.49)
     reached = attitude_target(wanted, yaw, first.roll_rad, first.pitch_rad, 0.49)  # once the attitude is there
     assert resultant(reached, 0.49) == pytest.approx(wanted, abs=1e-9)
+
+
+@given(acceleration, acceleration, angle)
+def test_an_attitude_shows_the_acceleration_that_it_was_commanded_for(ux: float, uy: float, yaw: float) -> None:
+    target = attitude_target((ux, uy, 0.0), yaw, 0.0, 0.0, 0.49)
+    assert level_acceleration(target.roll_rad, target.pitch_rad, yaw) == pytest.approx((ux, uy), abs=1e-9)
+
+
+@pytest.mark.parametrize(("roll", "pitch"), [(pi, 0.0), (-2.0, 0.5), (0.3, 1.6), (nan, 0.0)])
+def test_a_vehicle_upside_down_shows_no_acceleration(roll: float, pitch: float) -> None:
+    assert level_acceleration(roll, pitch, 0.0) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(
