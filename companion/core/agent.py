@@ -1,8 +1,16 @@
-"""Agent.step: one tick, as a chain of stages that exchange frozen values. `companion/assembly.py` builds the stages."""
+"""Agent.step: one tick, as a chain of stages that exchange frozen values. `companion/assembly.py` builds the stages.
+
+A tick has two parts. `prepare` runs shortly before the next position is due, and takes what needs none: the packets of the
+peers are checked and folded, commands are admitted. `decide` follows with the position, and with the packets that came
+meanwhile. It alone judges, answers and commands, all on the newest state and at its own time. `prepare` looks at no state of
+the vehicle and evaluates nothing, so a decision does not depend on when its parts ran.
+"""
 
 from __future__ import annotations
 
-from companion.core.command.arbitration import CommandArbitration, CommandDispatcher
+from collections.abc import Collection
+
+from companion.core.command.arbitration import CommandArbitration, CommandDispatcher, Intake
 from companion.core.command.phase import PhaseCommand, PhaseMachine
 from companion.core.consensus.neighbours import NONE, DistantPeers
 from companion.core.consensus.stage import ConsensusStage
@@ -12,7 +20,9 @@ from companion.core.formation.guidance import Guidance, GuidanceStage
 from companion.core.preflight import Preflight
 from companion.core.report import Decision, ReportStage
 from companion.core.safety.safeguard import SafeguardStage, Safety
+from companion.types.commands import Command
 from companion.types.flight import FailsafeAction, Flight, FlightPhase
+from companion.types.peers import ReceivedPeerPacket
 from companion.types.status import SeparationReport
 from companion.types.tick import Inbox, Outbox
 
@@ -57,6 +67,7 @@ class Agent:
         self._last_setpoint_s = 0.0
         self._last_separation = SeparationReport()
         self._distant = NONE
+        self._intake: Intake | None = None  # of a tick that is prepared and not decided
 
     @property
     def phase(self) -> FlightPhase:
@@ -72,21 +83,30 @@ class Agent:
         self.reporter.refuse(reason)
 
     def step(self, now_s: float, inbox: Inbox) -> Outbox:
-        """One tick: the decision, then the reports."""
+        """One tick: both parts of the decision, then the reports."""
+        prepared_s = now_s if inbox.prepared_s is None else inbox.prepared_s
+        self.prepare(prepared_s, inbox.peers[: inbox.early], inbox.commands)
         return self.report(self.decide(now_s, inbox))
 
+    def prepare(self, now_s: float, peers: Collection[ReceivedPeerPacket], commands: tuple[Command, ...]) -> None:
+        """The part of the next tick that needs no new position. `decide` must follow."""
+        assert self._intake is None, "a tick is prepared once"
+        self._intake = self.arbitration.step(commands) if commands else self.arbitration.idle
+        self.consensus.receive(now_s, peers, self._distant)
+
     def decide(self, now_s: float, inbox: Inbox) -> Decision:
-        """Telemetry -> state -> peers, PrC and weights -> acceleration -> attitude -> output limits."""
+        """Telemetry -> state -> peers, PrC and weights -> acceleration -> attitude -> output limits. `prepare` ran before."""
+        intake, self._intake = self._intake, None
+        assert intake is not None, "a tick is prepared before it is decided"
         last, last_guidance = self._flight, self._last_guidance
         perception = self.perception.step(now_s, inbox.telemetry, last, self.preflight.returns_elsewhere)
         vehicle = perception.vehicle
         fitness = self.preflight.step(now_s, inbox.telemetry, vehicle.autopilot, vehicle.home_enu_m)
         before = self.phases.observe(now_s, vehicle)
-        intake = self.arbitration.step(inbox.commands) if inbox.commands else self.arbitration.idle
         refusal_to_lead = last_guidance.refusal_to_lead
         fit_to_lead = last.phase is FORMATION and self._last_safety.action <= WARN and refusal_to_lead is None
         consensus = self.consensus.step(
-            now_s, vehicle, before, inbox.peers, intake.admitted, refusal_to_lead, fit_to_lead, self._distant
+            now_s, vehicle, before, inbox.peers[inbox.early :], intake.admitted, refusal_to_lead, fit_to_lead
         )
         guidance = self.guidance.step(now_s, vehicle, before, consensus, intake.admitted, inbox.targets)
         safety = self.safeguard.step(
@@ -121,7 +141,6 @@ class Agent:
             self._distant = self.distant_peers.step(
                 now_s, vehicle, flight, guidance.slot, hears_leader, ids, consensus.peers.known
             )
-        requests = perception.requests + flight.requests + parameter_requests
         return Decision(
             now_s=now_s,
             intake=intake,
@@ -132,7 +151,7 @@ class Agent:
             safety=safety,
             flight=flight,
             setpoint=setpoint,
-            requests=requests,
+            requests=perception.requests + flight.requests + parameter_requests,
             distant=self._distant,
         )
 

@@ -65,8 +65,8 @@ class AutopilotSilentError(EndingError):
 class AutopilotLink:
     """Decodes telemetry as it arrives and keeps it for the next tick.
 
-    Calls `position_arrived` when all that waited is read and a position was among it: what an autopilot sends together is
-    decided on together. Calls `reject` with the code of every damaged or implausible packet.
+    Calls `position_arrived` with its time when all that waited is read and a position was among it: what an autopilot sends
+    together is decided on together. Calls `reject` with the code of every damaged or implausible packet.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class AutopilotLink:
         vehicle_id: int,
         endpoint: str,
         translator: Translator,
-        position_arrived: Callable[[], None],
+        position_arrived: Callable[[float], None],
         reject: Callable[[str], None],
         record: RecordPacket | None = None,
     ) -> None:
@@ -85,7 +85,7 @@ class AutopilotLink:
         self._reject = reject
         self._telemetry: deque[Telemetry] = deque(maxlen=SAMPLES_KEPT)  # in a flood only the newest remain
         self._received: Counter[type[Telemetry]] = Counter()  # samples since the last check of the streams
-        self._has_position = False  # among what was read just now
+        self._position_s: float | None = None  # when the newest position arrived among what was read just now
         self._heartbeat_received = asyncio.Event()
         # Any valid packet, or one signed with an old timestamp: that autopilot first needs the time of this computer.
         self._present = asyncio.Event()
@@ -229,7 +229,7 @@ class AutopilotLink:
         for sample in samples:
             self._received[type(sample)] += 1
             if isinstance(sample, PositionSample):
-                self._has_position = True
+                self._position_s = received_s
             elif isinstance(sample, HeartbeatSample):
                 self._heartbeat_received.set()
         if self._record:
@@ -240,9 +240,9 @@ class AutopilotLink:
         return from_autopilot
 
     def _all_read(self) -> None:
-        if self._has_position:
-            self._has_position = False
-            self._position_arrived()
+        if (arrived_s := self._position_s) is not None:
+            self._position_s = None
+            self._position_arrived(arrived_s)
 
 
 # ---------------------------------------------------------------- what the vehicle file says of it
@@ -252,7 +252,7 @@ def open_autopilot_link(
     file: Path,
     vehicle: VehicleConfig,
     key: SigningKey | None,
-    position_arrived: Callable[[], None],
+    position_arrived: Callable[[float], None],
     reject: Callable[[str], None],
     record: RecordPacket | None = None,
 ) -> AutopilotLink:

@@ -74,7 +74,7 @@ class Bench(ABC):
         """Opens the link. Raises ConfigError."""
         self._file, self._vehicle = file, config.vehicle
         key = read_signing_key(file, config.vehicle.signing)
-        self.link = open_autopilot_link(file, config.vehicle, key, lambda: None, lambda _reason: None)
+        self.link = open_autopilot_link(file, config.vehicle, key, lambda _arrived_s: None, lambda _reason: None)
         self._bridge = MavsdkBridge(config.vehicle.id, self.link.relay)
         self.listeners = [self._bridge.receive]  # all get the packets of the link
         self.link.pass_on_to(self._pass_on)

@@ -24,6 +24,7 @@ from companion.recording.records import TimingRecord
 from companion.types.autopilot import PositionSample, Telemetry
 from companion.types.errors import EXIT_DEFECT, EndingError
 from companion.types.notices import Code, Notice
+from companion.types.peers import ReceivedPeerPacket
 from companion.types.status import RecordingState
 from companion.types.tick import Inbox, Outbox
 from companion.wire.messages import StatusReport
@@ -79,15 +80,33 @@ class ControlLoop:
         self._last_report: StatusReport | None = None
         self._due_s = inf  # when the next tick begins at the latest
         self._ticked_s = inf  # when the last one began
-        self._begun: tuple[float, Inbox] | None = None  # time and input of a tick that has not ended
+        self._prepared: Inbox | None = None  # what the first part of the next tick saw, once it has run
+        self._begun: tuple[float, Inbox] | None = None  # time and input of a part of a tick that has not ended
         self._collected_s = -inf
 
     # ------------------------------------------------------------ one tick
 
+    def prepare(self, now_s: float) -> None:
+        """The first part of the next tick, before its position is due. Raises as `tick` does."""
+        peers, commands = self._peers.receive(now_s)
+        targets = self._peers.targets(now_s)
+        seen = Inbox(peers=peers, commands=commands, targets=targets, prepared_s=now_s, early=len(peers))
+        self._begun = (now_s, seen)
+        self._agent.prepare(now_s, peers, commands)
+        self._prepared, self._begun = seen, None
+
     def tick(self, now_s: float) -> None:
-        """One tick. Raises whatever a stage, an encoder or a link raises; `fail` must follow then."""
+        """One tick, with its first part where that has not run. Raises whatever a stage, an encoder or a link raises.
+
+        `fail` must follow then.
+        """
         began_s, due_s = time.monotonic(), self._due_s
-        inbox = self._inbox(now_s)
+        late: tuple[ReceivedPeerPacket, ...] = ()
+        if self._prepared is None:
+            self.prepare(now_s)
+        else:
+            late = self._peers.receive_late(now_s)
+        inbox = self._inbox(now_s, late)
         self._begun = (now_s, inbox)
         self.response.receive(inbox.telemetry)
         decision = self._agent.decide(now_s, inbox)
@@ -106,11 +125,22 @@ class ControlLoop:
                 self.events.log(notice, now_s)
         self._begun = None
 
-    def _inbox(self, now_s: float) -> Inbox:
-        peers, commands = self._peers.receive(now_s)
-        targets, traffic = self._peers.targets(now_s), self._peers.traffic(now_s)
+    def _inbox(self, now_s: float, late: tuple[ReceivedPeerPacket, ...]) -> Inbox:
+        """What `prepare` saw, and what has arrived since that must not wait for the next tick."""
+        seen, self._prepared = self._prepared, None
+        assert seen is not None
         late_s, self._due_s = round(max(0.0, now_s - self._due_s), 6), now_s + BACK_UP_S
-        return Inbox(self._autopilot.drain(), peers, commands, self._stop_asked_s is not None, targets, late_s, traffic)
+        return Inbox(
+            telemetry=self._autopilot.drain(),
+            peers=seen.peers + late,
+            commands=seen.commands,
+            stopping=self._stop_asked_s is not None,
+            targets=seen.targets,
+            late_s=late_s,
+            traffic=self._peers.traffic(now_s),
+            prepared_s=seen.prepared_s,
+            early=seen.early,
+        )
 
     def _send(self, now_s: float, telemetry: Sequence[Telemetry], decision: Decision) -> int | None:
         """Send the setpoint and the requests, before packets, status and log lines are built.
@@ -207,7 +237,7 @@ class ControlLoop:
         gc.freeze()  # objects made until now stay; the collector skips them in a tick
         async with asyncio.TaskGroup() as group:
             tasks = [group.create_task(self._guard(job)) for job in jobs]
-            await self._trigger.run(partial(self._tick_now, time.monotonic() + wait_s), self._prepare)
+            await self._trigger.run(partial(self._tick_now, time.monotonic() + wait_s), self._prepare_now)
             if self._failure:
                 await self._end_after_failure(self._failure)
             for task in tasks:
@@ -228,10 +258,9 @@ class ControlLoop:
         if self._is_done(now_s, give_up_s):
             self._trigger.end()
 
-    def _prepare(self) -> None:
-        """Take the peer packets that are there, so that the tick finds little to decode."""
+    def _prepare_now(self) -> None:
         try:
-            self._peers.receive_early(monotonic_s())
+            self.prepare(monotonic_s())
         except Exception as error:  # noqa: BLE001 -- whatever failed, the vehicle is handed over
             self._fail_soon(error)
 

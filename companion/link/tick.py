@@ -21,7 +21,7 @@ PERIOD_S = 0.02  # 50 Hz
 BACK_UP_S = 0.03  # longest time between two ticks
 LEAST_PERIOD_S = 1 / 60  # mean time between ticks while positions come faster than requested
 TICKS_AT_ONCE = 3  # after a late position the next ones follow at once
-PREPARED_S = 0.002  # before the next position is expected; autopilots send them to a millisecond
+PREPARED_S = 0.002  # the first part runs so long before the next position is due; autopilots send them to a millisecond
 LATE_S = 0.02  # logged from this lateness on; on an idle machine a tick is less than 2 ms late
 LOG_PERIOD_S = 1.0
 # Between two measurements of the timing: one takes half the time of a decision. The first ticks are shown at once.
@@ -55,10 +55,10 @@ class TickTrigger:
         finally:
             self._ticking.end()
 
-    def position_arrived(self) -> None:
-        """Tick now, or soon where positions come too fast."""
+    def position_arrived(self, arrived_s: float) -> None:
+        """Tick now, or soon where positions come too fast. `arrived_s`: when it came, which may be before it was read."""
         if self._ticking:
-            self._ticking.position_arrived()
+            self._ticking.position_arrived(arrived_s)
 
     def end(self) -> None:
         """No further tick; `run` returns."""
@@ -73,11 +73,13 @@ class _Ticking:
         self._loop, self._tick, self._prepare = loop, tick, prepare
         self.ended: asyncio.Future[None] = loop.create_future()
         self._ticked_s = loop.time()  # when the last tick began
+        self._expected_s = -inf  # when the next position will come
         self._nominal_s = -inf  # time of the next tick at the highest mean rate
         self._postponed = False  # whether the timer is for a position that came too soon
         self._timer = loop.call_at(self._ticked_s + BACK_UP_S, self._tick_now)
 
-    def position_arrived(self) -> None:
+    def position_arrived(self, arrived_s: float) -> None:
+        self._expected_s = arrived_s + PERIOD_S
         earliest_s = self._nominal_s - (TICKS_AT_ONCE - 1) * LEAST_PERIOD_S
         if earliest_s <= self._loop.time():
             self._tick_now()
@@ -96,8 +98,10 @@ class _Ticking:
         self._postponed = False
         self._ticked_s = self._loop.time()
         self._nominal_s = max(self._nominal_s, self._ticked_s) + LEAST_PERIOD_S
+        if self._expected_s <= self._ticked_s:  # no position came
+            self._expected_s = self._ticked_s + PERIOD_S
         self._tick()
-        self._set_timer(self._ticked_s + PERIOD_S - PREPARED_S, self._prepare_now)
+        self._set_timer(self._expected_s - PREPARED_S, self._prepare_now)
 
     def _prepare_now(self) -> None:
         self._prepare()

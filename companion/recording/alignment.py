@@ -5,10 +5,10 @@ ahead of a. Packets the other way show how far it is ahead at least. The line in
 in NTP. It is exact where the shortest delays of both directions are equal. Otherwise it is wrong by half their difference, and
 never by more than half the width of the corridor.
 
-The peer packets in /inbox compare the clocks of each pair of vehicles. Agents receive packets only at their ticks, so a
-shortest delay is up to 20 ms: two vehicles are aligned to some milliseconds, and never worse than 10 ms as long as both
-receive each other. A folder with all files of a board has those of other days as well: what begins far from the flight is none
-of it.
+The peer packets in /inbox compare the clocks of each pair of vehicles. Agents receive packets only at their ticks and 2 ms
+before them, so a shortest delay is up to 18 ms: two vehicles are aligned to some milliseconds, and never worse than 10 ms as
+long as both receive each other. A folder with all files of a board has those of other days as well: what begins far from the
+flight is none of it.
 """
 
 from __future__ import annotations

@@ -114,6 +114,8 @@ class _InboxShown(Struct):
     now_s: float
     late_s: float
     stopping: bool
+    prepared_s: float
+    early: int
 
 
 class _OutboxShown(Struct):

@@ -1,4 +1,4 @@
-"""Input and output of one tick of the agent."""
+"""Input and output of one tick of the agent, whose first part may run before the position that it waits for."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from companion.types.status import Status
 class Inbox(Struct, frozen=True, gc=False):
     """Input since the last tick. `stopping`: the process is to end, after a hand-over from formation.
 
-    `late_s`: how much later than due this tick began, seconds.
+    `late_s`: how much later than due this tick began, seconds. The first `early` packets of `peers`, and all commands and
+    targets, were there when the tick was prepared, at `prepared_s`; None where that was done with the rest.
     """
 
     telemetry: tuple[Telemetry, ...] = ()
@@ -24,6 +25,8 @@ class Inbox(Struct, frozen=True, gc=False):
     targets: tuple[ReceivedTarget, ...] = ()
     late_s: float = 0.0
     traffic: tuple[ReceivedTraffic, ...] = ()
+    prepared_s: float | None = None
+    early: int = 0
 
 
 class Outbox(Struct, frozen=True, gc=False):

@@ -249,10 +249,11 @@ class VirtualAgent:
         telemetry, packets = self._kept + self.link.drain(now_s), self.network.receive(self.vehicle_id, now_s)
         self._kept = ()
         targets = tuple([ReceivedTarget(now_s, name, target) for name, target in self._targets])
-        inbox = Inbox(telemetry, packets, self._commands, targets=targets)
+        inbox = Inbox(telemetry, packets, self._commands, targets=targets, prepared_s=now_s, early=len(packets))
         self._commands, self._targets = (), ()
         if not runs:  # the input is lost: nothing waits for the next process
             return
+        self.agent.prepare(now_s, packets, inbox.commands)
         decision = self.agent.decide(now_s, inbox)
         outbox = self.agent.report(decision)
         self._send(now_s, outbox)

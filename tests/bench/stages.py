@@ -1,4 +1,4 @@
-"""The stages of one tick, from the source of Agent.decide and Agent.report: each stage with its inputs and outputs."""
+"""The stages of one tick, from the source of its parts in `Agent`: each stage with its inputs and outputs."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from typing import Any, get_args, get_type_hints
 
 from companion.core.agent import Agent
 
+PARTS = (Agent.prepare, Agent.decide, Agent.report)
+
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One call of a stage in a tick. `inputs` are (name, type) of its parameters, without self."""
+    """One call of a stage in a tick, in one `part` of it. `inputs` are (name, type) of its parameters, without self."""
 
+    part: str
     owner: str
     method: str
     inputs: tuple[tuple[str, str], ...]
@@ -24,10 +27,10 @@ class Stage:
 
 
 def stages() -> list[Stage]:
-    """The stages in the order in which Agent.decide and Agent.report call them."""
+    """The stages in the order in which the parts of a tick call them."""
     classes = get_type_hints(Agent.__init__)
     found = []
-    for call in [*_calls(Agent.decide), *_calls(Agent.report)]:
+    for of_part, call in [(part, call) for part in PARTS for call in _calls(part)]:
         match call.func:
             case ast.Attribute(ast.Attribute(ast.Name("self"), attribute), method):
                 declared = classes[attribute.removeprefix("_")]
@@ -35,7 +38,7 @@ def stages() -> list[Stage]:
                 hints = get_type_hints(getattr(owner, method))
                 output = _name(hints.pop("return"))
                 inputs = tuple((name, _name(kind)) for name, kind in hints.items())
-                found.append(Stage(owner.__name__, method, inputs, output))
+                found.append(Stage(of_part.__name__, owner.__name__, method, inputs, output))
     return found
 
 
@@ -62,21 +65,26 @@ def text() -> str:
     blocks = []
     for number, stage in enumerate(stages(), start=1):
         inputs = [f"     in   {name}: {kind}" for name, kind in stage.inputs]
-        blocks.append("\n".join([f"{number:2}. {stage.owner}.{stage.method}", *inputs, f"     out  {stage.output}"]))
+        title = f"{number:2}. {stage.part}: {stage.owner}.{stage.method}"
+        blocks.append("\n".join([title, *inputs, f"     out  {stage.output}"]))
     return "\n".join(blocks)
 
 
 def diagram(calls: Mapping[str, int] | None = None) -> str:
-    """A Mermaid flow chart. An edge carries the result that a later stage takes, by its type.
+    """A Mermaid flow chart with a box for each part. An edge carries the result that a later stage takes, by its type.
 
     With `calls`, made in a stage named "Class.method", a stage also says how many calls it makes.
     """
     found = stages()
     lines = ["```mermaid", "flowchart TD"]
-    for i, stage in enumerate(found):
-        label = f"{stage.owner}.{stage.method}"
-        made = f"<br>{calls.get(label, 0)} calls" if calls is not None else ""
-        lines.append(f'    s{i}["{label}{made}"]')
+    for part in dict.fromkeys(stage.part for stage in found):
+        lines.append(f"    subgraph {part}")
+        for i, stage in enumerate(found):
+            if stage.part == part:
+                label = f"{stage.owner}.{stage.method}"
+                made = f"<br>{calls.get(label, 0)} calls" if calls is not None else ""
+                lines.append(f'        s{i}["{label}{made}"]')
+        lines.append("    end")
     for i, stage in enumerate(found):
         taken = {kind for _, kind in stage.inputs}
         produced: dict[str, int] = {}  # the newest producer of each type

@@ -1,4 +1,4 @@
-"""What one tick of a follower runs: files, classes, calls and depth of `Agent.decide` and `Agent.report`.
+"""What one tick of a follower runs: files, classes, calls and depth of `Agent.prepare`, `decide` and `report`.
 
 python -m tests.bench.tick             the diagram of the docs with the calls of each stage, then the figures as JSON
 python -m tests.bench.tick --json      the figures alone
@@ -6,7 +6,7 @@ python -m tests.bench.tick --stages    the stages with their inputs and outputs,
 
 The platoon of config/scenarios flies in lockstep. Follower 2 has three peers, two of them neighbours, and is in steady
 formation. Two fleets in which all are neighbours of all give the calls for each further neighbour. Each figure is the
-median of the ticks without a status. `Agent.step`, which calls both, counts as one call and as depth 1. Frames of
+median of the ticks without a status. `Agent.step`, which calls all, counts as one call and as depth 1. Frames of
 comprehensions do not count, so that the figures are those of every Python: since 3.12 most of them have no frame.
 """
 
@@ -39,7 +39,8 @@ FEW, MANY = 4, 8  # vehicles of the fleets in which all are neighbours of all
 SETTLING_S = 6.0  # in formation, before ticks are counted
 COUNTED_S = 2.0  # virtual time
 COMPREHENSIONS = frozenset({"<listcomp>", "<setcomp>", "<dictcomp>", "<genexpr>"})
-DECIDE, REPORT = Agent.decide.__code__, Agent.report.__code__
+PREPARE, REPORT = Agent.prepare.__code__, Agent.report.__code__
+PARTS = (PREPARE, Agent.decide.__code__, REPORT)
 
 
 @dataclass(slots=True)
@@ -67,12 +68,16 @@ class Figures:
 
 
 class TickCounter:
-    """Counts what runs below `Agent.decide` and `Agent.report`, as the interpreter reports it. `ticks` are complete."""
+    """Counts what runs below the parts of a tick, as the interpreter reports it. `ticks` are complete.
+
+    Between the parts of one agent's tick run those of other agents.
+    """
 
     def __init__(self) -> None:
         self.ticks: list[Tick] = []
+        self._of_agent: dict[int, Tick] = {}
         self._tick = Tick()
-        self._depth = 0  # 0 outside of both functions
+        self._depth = 0  # 0 outside of the parts
         self._stage = ""
 
     @contextmanager
@@ -88,16 +93,22 @@ class TickCounter:
         code = frame.f_code
         if code.co_name in COMPREHENSIONS:
             return
-        if event == "call" and (self._depth or code in (DECIDE, REPORT)):
+        if event == "call" and not self._depth and code in PARTS:
+            self._begin(id(frame.f_locals["self"]), code)
+            self._enter(code)
+        elif event == "call" and self._depth:
             self._enter(code)
         elif event == "return" and self._depth:
             self._depth -= 1
             if code is REPORT and isinstance(argument, Outbox):
                 self._complete(argument)
 
+    def _begin(self, agent: int, code: CodeType) -> None:
+        if code is PREPARE or agent not in self._of_agent:
+            self._of_agent[agent] = Tick()
+        self._tick = self._of_agent[agent]
+
     def _enter(self, code: CodeType) -> None:
-        if code is DECIDE:
-            self._tick = Tick()
         tick = self._tick
         self._depth += 1
         tick.calls, tick.depth = tick.calls + 1, max(tick.depth, 1 + self._depth)

@@ -18,7 +18,7 @@ from companion.config.reference import PointReference
 from companion.config.vehicle import AgentConfig, VehicleConfig
 from companion.link.control_loop import ControlLoop
 from companion.link.systemd import Notifier
-from companion.link.tick import TickTrigger
+from companion.link.tick import PREPARED_S, TickTrigger
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.mavlink.translator import Translator
 from companion.recording.recorder import Recorder
@@ -276,8 +276,8 @@ class RecordedPeers:
     is_open = True
     network: NetworkState = field(default_factory=NetworkState)
 
-    def receive_early(self, _now_s: float) -> None:
-        """Nothing arrives."""
+    def receive_late(self, _now_s: float) -> tuple[ReceivedPeerPacket, ...]:
+        return ()
 
     def receive(self, _now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]:
         commands, self.commands = self.commands, ()
@@ -331,6 +331,7 @@ class FailingFlight:
             ended = self.loop.hand_over(self.now_s)
         else:
             try:
+                self.loop.prepare(self.now_s - PREPARED_S)
                 self.loop.tick(self.now_s)
             except Fault as fault:
                 self.failed_s = self.now_s

@@ -105,7 +105,7 @@ def test_damaged_packets_are_counted_once_by_reason() -> None:
         longer = codec.encode(mavlink.MAVLink_attitude_quaternion_message(0, 2, 0, 0, 0, 0, 0, 0))
         reject = lambda reason: rejected.update([reason])  # noqa: E731
         with (
-            closing(AutopilotLink(3, f"udpin:{HOST}:{port}", Translator(3), lambda: None, reject)) as link,
+            closing(AutopilotLink(3, f"udpin:{HOST}:{port}", Translator(3), lambda _arrived_s: None, reject)) as link,
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot,
         ):
             task = asyncio.create_task(link.receive())
@@ -131,7 +131,7 @@ def test_a_flood_between_two_ticks_is_bounded_and_the_newest_samples_remain() ->
             port = probe.getsockname()[1]
         codec, sent = MavlinkCodec(3, mavlink.MAV_COMP_ID_AUTOPILOT1), 2 * SAMPLES_KEPT
         with (
-            closing(AutopilotLink(3, f"udpin:{HOST}:{port}", Translator(3), lambda: None, reject)) as link,
+            closing(AutopilotLink(3, f"udpin:{HOST}:{port}", Translator(3), lambda _arrived_s: None, reject)) as link,
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot,
         ):
             task = asyncio.create_task(link.receive())
@@ -164,7 +164,7 @@ def test_stream_request_is_repeated_only_when_lost(
             probe.bind((HOST, 0))
             port = probe.getsockname()[1]
         with (
-            closing(AutopilotLink(3, f"udpin:{HOST}:{port}", Translator(3), lambda: None, ignore)) as link,
+            closing(AutopilotLink(3, f"udpin:{HOST}:{port}", Translator(3), lambda _arrived_s: None, ignore)) as link,
             closing(ScriptedAutopilot(kind, port, lost)) as autopilot,
         ):
             tasks = [asyncio.create_task(job) for job in (autopilot.run(), link.receive(), link.keep_streams())]

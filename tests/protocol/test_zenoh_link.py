@@ -147,19 +147,20 @@ def test_a_packet_reaches_the_peers_and_not_its_sender(port: int) -> None:
         assert not first.rejected + second.rejected
 
 
-def test_a_packet_that_is_decoded_early_is_received_once_with_its_own_time(port: int) -> None:
+def test_a_packet_that_arrives_between_the_parts_of_a_tick_is_received_once_with_its_own_time(port: int) -> None:
     with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:
         until(lambda: second.packets, each=lambda: (first.link.publish_peer(PACKET), second.tick()))
-        sequence, second.packets, decoded_early = count(PACKET.sender.sequence + 1), [], []
+        sequence, second.packets, late = count(PACKET.sender.sequence + 1), [], []
 
         def tick() -> None:
-            first.link.publish_peer(with_fields(PACKET, sequence=next(sequence)))
-            second.link.receive_early(time.monotonic())
-            began_s, before = time.monotonic(), len(second.packets)
             second.tick()
-            decoded_early.extend(received for received in second.packets[before:] if received.received_s <= began_s)
+            began_s = time.monotonic()
+            first.link.publish_peer(with_fields(PACKET, sequence=next(sequence)))
+            received = second.link.receive_late(time.monotonic())
+            second.packets.extend(received)
+            late.extend(one for one in received if one.received_s >= began_s)
 
-        until(lambda: decoded_early, each=tick)
+        until(lambda: late, each=tick)
         second.tick()
         sequences = [received.packet.sender.sequence for received in second.packets]
         assert sequences == sorted(set(sequences))

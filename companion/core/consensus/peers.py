@@ -377,6 +377,16 @@ class PeerTable:
             if i in fresh or (now_s - peer.measured_s <= self._age_limit_s(i) and not peer.contradicts)
         }
 
+    def until_s(self, fresh: Mapping[int, PeerState], present: Mapping[int, PeerState]) -> float:
+        """How long all of this is found again without a further packet; -inf where a vehicle is silent, whose age counts."""
+        if len(present) < len(self.known):
+            return -inf
+        until_s = self._max_age_s + min([peer.measured_s for peer in fresh.values()], default=inf)
+        if present is fresh:
+            return until_s
+        at_5_hz = [peer.measured_s + self._age_limit_s(i) for i, peer in present.items() if i not in fresh]
+        return min([until_s, *at_5_hz])
+
     def in_doubt(self, now_s: float) -> tuple[int, ...]:
         """The peers that contradict themselves, while they send."""
         return tuple([i for i, p in self.known.items() if p.contradicts and now_s - p.measured_s <= self._max_age_s])

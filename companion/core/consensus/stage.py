@@ -100,6 +100,7 @@ class PeerSets(Struct, frozen=True, gc=False):
     lost: tuple[LostVehicle, ...] = ()  # those that fell silent, and may still be in the air
     in_doubt: tuple[int, ...] = ()  # those that send positions and velocities that contradict each other
     rejected: Mapping[str, int] = {}
+    until_s: float = -inf  # until when they remain these, without a further packet
 
     @property
     def packets(self) -> tuple[PeerPacket, ...]:
@@ -154,38 +155,51 @@ class ConsensusStage:
         self._known_term: Term | None = None  # term in the last tick; None if no leader was known then
         self._last_known_s = -inf  # the last tick with a leader known in the same term as in the tick before
         self._formed_s: float | None = None  # since when this vehicle is in formation
+        self._sets = PeerSets()  # as they were before the tick
         self.leadership = leadership
         self.peers = peers
+
+    def receive(
+        self, now_s: float, packets: Collection[ReceivedPeerPacket], distant: frozenset[int] = frozenset()
+    ) -> None:
+        """The first part of a tick: check and take the packets that are there before it.
+
+        Nothing is judged by them before `step`. `distant` are the peers that are received at 5 Hz, of the last tick.
+        """
+        table = self.peers
+        if distant or table.low_rate_s:
+            table.set_low_rate_peers(now_s, distant)
+        if packets:
+            table.fold(packets, self._epochs_up_to(now_s))
+        self._sets = self._peer_sets(now_s)
 
     def step(
         self,
         now_s: float,
         vehicle: VehicleState,
         flight: Flight,
-        packets: Iterable[ReceivedPeerPacket],
+        packets: Collection[ReceivedPeerPacket] = (),
         commands: Collection[Command] = (),
         refusal_to_lead: Notice | None = None,
         fit_to_lead: bool = False,
-        distant: frozenset[int] = frozenset(),
     ) -> Consensus:
-        """Algorithm 1 and the neighbour set, from the packets since the last tick.
+        """The second part: Algorithm 1 and the neighbour set. `packets` came since `receive`.
 
         A commanded role comes first: one tick, its packet included, is of one role. `refusal_to_lead` is why this vehicle
-        must not become leader, `fit_to_lead` that it flies in formation without a failsafe, `distant` the peers that are
-        received at 5 Hz; all of the last tick.
+        must not become leader, `fit_to_lead` that it flies in formation without a failsafe; both of the last tick.
         """
-        leadership, table, in_formation = self.leadership, self.peers, flight.in_formation
+        leadership, sets, in_formation = self.leadership, self._sets, flight.in_formation
         answers, events = (
             self._command_leads(now_s, commands, vehicle, flight, refusal_to_lead) if commands else ((), ())
         )
         self._clock.on_ground = not vehicle.armed
-        if distant or table.low_rate_s:
-            table.set_low_rate_peers(now_s, distant)
         epochs_up_to = self._epochs_up_to(now_s)
-        table.fold(packets, epochs_up_to)
-        fresh, present = table.in_time(now_s)
+        if packets:
+            self.peers.fold(packets, epochs_up_to)
+        if packets or now_s > sets.until_s:
+            sets = self._peer_sets(now_s)
+        fresh, present, flying = sets.fresh, sets.present, sets.flying
         changes = self._newer_terms(now_s, present.values(), epochs_up_to)
-        flying = [peer.packet for peer in present.values() if peer.packet.phase in COOPERATING]
         relays = self._relays(now_s, flying, fresh, present, in_formation)
         ids = self._rule.select(vehicle.position_enu_m, relays, now_s)
         neighbours = [fresh[i].packet for i in ids]
@@ -213,24 +227,24 @@ class ConsensusStage:
                 heading=heading,
             ),
             neighbours=Neighbours(followed, states),
-            peers=self._sets(now_s, fresh, present, flying),
+            peers=sets,
             answers=answers,
             events=events + changes + settled + claimed,
         )
 
-    def _sets(
-        self, now_s: float, fresh: dict[int, PeerState], present: dict[int, PeerState], flying: list[PeerPacket]
-    ) -> PeerSets:
+    def _peer_sets(self, now_s: float) -> PeerSets:
         table = self.peers
+        fresh, present = table.in_time(now_s)
         return PeerSets(
             known=dict(table.known),
             present=present,
             fresh=fresh,
-            flying=tuple(flying),
+            flying=tuple([peer.packet for peer in present.values() if peer.packet.phase in COOPERATING]),
             duplicate_id_s=table.duplicate_id_s,
             lost=table.lost(now_s) if len(present) < len(table.known) else (),
             in_doubt=table.in_doubt(now_s) if len(present) < len(table.known) else (),
             rejected=table.rejected,
+            until_s=table.until_s(fresh, present),
         )
 
     def _newer_terms(self, now_s: float, peers: Iterable[PeerState], epochs_up_to: int) -> tuple[Notice, ...]:
@@ -309,11 +323,11 @@ class ConsensusStage:
     def _relays(
         self,
         now_s: float,
-        flying: list[PeerPacket],
-        fresh: dict[int, PeerState],
-        present: dict[int, PeerState],
+        flying: Sequence[PeerPacket],
+        fresh: Mapping[int, PeerState],
+        present: Mapping[int, PeerState],
         in_formation: bool,
-    ) -> dict[int, PeerState]:
+    ) -> Mapping[int, PeerState]:
         """The fresh peers whose beacons are passed on. Once a formation has come together, only vehicles in it are used.
 
         A leader out of formation is used where none leads in it: it left by command, and the fleet waits with it.
@@ -337,7 +351,7 @@ class ConsensusStage:
         now_s: float,
         hears_leader: bool,
         neighbours: list[PeerPacket],
-        flying: list[PeerPacket],
+        flying: Sequence[PeerPacket],
         fit_to_lead: bool,
     ) -> tuple[HealthFlag | None, tuple[Notice, ...]]:
         """Become leader where there is none and it is this vehicle's turn. Returns the flag without a leader, and events.
@@ -359,7 +373,7 @@ class ConsensusStage:
             return LEADER_AWAITED, leadership.claim(rank)
         return LEADER_AWAITED, ()
 
-    def _leads_in(self, flying: list[PeerPacket]) -> bool:
+    def _leads_in(self, flying: Iterable[PeerPacket]) -> bool:
         """Whether a leader of this term or a newer one flies; a leader of an older term does not know the change yet."""
         term = self.leadership.term
         return any(p.role is LEADER and p.leader.beacon is not None and p.leader.beacon.term >= term for p in flying)

@@ -24,7 +24,7 @@ PACKETS_PER_VEHICLE = 8  # used at most of each tick, the newest
 # Messages that wait for a tick: what is no packet is dropped before it can displace one. To refuse one takes 10 us, so in a
 # large fleet fewer wait for each vehicle.
 SAMPLES_KEPT, LEAST_PER_VEHICLE, MOST_PER_VEHICLE = 1024, 2 * PACKETS_PER_VEHICLE, 128
-TAKEN_EARLY = 2  # messages of each vehicle before a tick; the rest of a flood waits for the tick
+TAKEN_LATE = 2  # messages of each vehicle in the tick; the rest of a flood waits for the next one
 CHANGES_PER_TICK = 8  # at most this many subscriptions change in a tick; one takes 0.1 ms
 
 
@@ -58,13 +58,13 @@ class PeerStates:
         if self._low_rate_publisher and (packet.sender.sequence + self._own_id) % LOW_RATE_TICKS == 0:
             self._low_rate_publisher.put(payload)
 
-    def receive_early(self) -> list[PeerPacket]:
-        """A few of the packets that the next `receive` would return. Never blocks."""
-        return self._receive(TAKEN_EARLY)
-
     def receive(self) -> list[PeerPacket]:
         """All packets since the last call. Never blocks."""
         return self._receive(self._samples_kept)
+
+    def receive_late(self) -> list[PeerPacket]:
+        """A few of the packets that the next `receive` would return. Never blocks."""
+        return self._receive(TAKEN_LATE)
 
     def _receive(self, most: int) -> list[PeerPacket]:
         """From at most so many messages of each vehicle."""

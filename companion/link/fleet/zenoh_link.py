@@ -1,9 +1,9 @@
 """Zenoh link of an agent: peer packets, commands and targets in; peer packets, replies and status out.
 
-The control loop drains ring channels at each tick, and the peers' a moment before it too, so that little is left to decode in
-the tick. So no Zenoh thread enters the loop, and nothing waits for a loop that hangs. Whatever is sent is a publication that is
-dropped where the network is congested (CongestionControl.DROP: a call takes 1.4 ms at most). Commands are no queries, because a
-reply to a query blocks the whole process for seconds where the client reads nothing: Zenoh's `query.reply` waits with the
+The control loop drains ring channels shortly before each tick, and the peers' again in it, where little is left to decode. So
+no Zenoh thread enters the loop, and nothing waits for a loop that hangs. Whatever is sent is a publication that is dropped
+where the network is congested (CongestionControl.DROP: a call takes 1.4 ms at most). Commands are no queries, because a reply
+to a query blocks the whole process for seconds where the client reads nothing: Zenoh's `query.reply` waits with the
 interpreter locked.
 """
 
@@ -98,7 +98,6 @@ class ZenohLink:
         self._fleet_name = fleet.name
         self._reject = reject
         self._drained_s: float | None = None
-        self._early: list[ReceivedPeerPacket] = []  # for the next `receive`
         self._unanswered: dict[tuple[str, int], Command] = {}
         self._log = CommandLog()
         self._terms = _term_proofs(vehicle_id, fleet, identity, reject) if identity else None
@@ -127,10 +126,6 @@ class ZenohLink:
         """Whether the session is open. It listens then; peers need not be connected: a lone vehicle is ready as well."""
         return not self.session.is_closed()
 
-    def receive_early(self, now_s: float) -> None:
-        """Decode the peer packets that Zenoh has received by now: the next `receive` returns them too. Never blocks."""
-        self._early += [ReceivedPeerPacket(now_s, packet) for packet in self._peers.receive_early()]
-
     def receive(self, now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]:
         """All peer packets and commands since the last call. Never blocks.
 
@@ -144,12 +139,17 @@ class ZenohLink:
         aborts = self._receive_aborts()
         samples = drain(self._commands, COMMANDS_KEPT)
         commands = each(samples, lambda sample: self._command(sample, late), self._refuse(Code.COMMAND_MALFORMED))
-        early, self._early = self._early, []
-        packets = [ReceivedPeerPacket(now_s, packet) for packet in self._peers.receive()]
-        received = (*early, *packets, *(self._datagrams.receive(now_s) if self._datagrams else ()))
-        if self._terms:
-            received = tuple(map(self._terms.judge, received))
-        return received, (*aborts, *commands)
+        return self._received(now_s, self._peers.receive()), (*aborts, *commands)
+
+    def receive_late(self, now_s: float) -> tuple[ReceivedPeerPacket, ...]:
+        """Peer packets since `receive`, a few of each vehicle: those of a flood wait for the next one. Never blocks."""
+        return self._received(now_s, self._peers.receive_late())
+
+    def _received(self, now_s: float, over_zenoh: list[PeerPacket]) -> tuple[ReceivedPeerPacket, ...]:
+        received = tuple([ReceivedPeerPacket(now_s, packet) for packet in over_zenoh])
+        if self._datagrams:
+            received += self._datagrams.receive(now_s)
+        return tuple(map(self._terms.judge, received)) if self._terms else received
 
     def targets(self, now_s: float) -> tuple[ReceivedTarget, ...]:
         """All target samples since the last call; empty for a vehicle that may not become leader. Never blocks."""
@@ -203,7 +203,6 @@ class ZenohLink:
         names = self._identity.admitted.participants
         refused = [parse_common_name(one.name) for one in names if admitted.participant(one.name) is None]
         self._refused = frozenset(str(name) for name in refused) | {name.participant for name in refused}
-        self._early.clear()
         if self._terms:
             self._terms.admit(admitted)
         for name in refused:

@@ -1,4 +1,4 @@
-"""The stages of one tick, from the source of Agent.decide and Agent.report."""
+"""The stages of one tick, from the source of its parts."""
 
 from tests.bench import stages
 
@@ -18,6 +18,11 @@ def test_the_diagram_shows_every_stage() -> None:
     diagram = stages.diagram()
     assert diagram.startswith("```mermaid")
     assert all(f"{stage.owner}.{stage.method}" in diagram for stage in stages.stages())
+
+
+def test_the_diagram_shows_the_parts_of_a_tick_in_their_order() -> None:
+    parts = [line.split()[1] for line in stages.diagram().splitlines() if "subgraph" in line]
+    assert parts == ["prepare", "decide", "report"]
 
 
 def test_the_diagram_shows_the_calls_of_a_stage() -> None:

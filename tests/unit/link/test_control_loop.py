@@ -16,8 +16,9 @@ from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code
 
 STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
-    "peers received early": lambda flight: (flight.peers, "receive_early"),
-    "peers received": lambda flight: (flight.peers, "receive"),
+    "peers received before the tick": lambda flight: (flight.peers, "receive"),
+    "peers received in the tick": lambda flight: (flight.peers, "receive_late"),
+    "the first part of a tick": lambda flight: (flight.agent.consensus, "receive"),
     "a stage": lambda flight: (flight.agent.guidance, "step"),
 }
 

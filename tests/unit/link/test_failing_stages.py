@@ -33,13 +33,15 @@ CLEARED_S = 0.25  # level setpoints at the end of formation, before the next mod
 STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "peers and commands received": lambda flight: (flight.peers, "receive"),
     "targets received": lambda flight: (flight.peers, "targets"),
+    "arbitration": lambda flight: (flight.agent.arbitration, "step"),
+    "packets of the peers": lambda flight: (flight.agent.consensus, "receive"),
+    "late peers received": lambda flight: (flight.peers, "receive_late"),
     "traffic received": lambda flight: (flight.peers, "traffic"),
     "telemetry drained": lambda flight: (flight.link, "drain"),
     "response to a failure, its telemetry": lambda flight: (flight.loop.response, "receive"),
     "perception": lambda flight: (flight.agent.perception, "step"),
     "preflight": lambda flight: (flight.agent.preflight, "step"),
     "phases, observed": lambda flight: (flight.agent.phases, "observe"),
-    "arbitration": lambda flight: (flight.agent.arbitration, "step"),
     "consensus": lambda flight: (flight.agent.consensus, "step"),
     "guidance": lambda flight: (flight.agent.guidance, "step"),
     "safety": lambda flight: (flight.agent.safeguard, "step"),
@@ -103,20 +105,18 @@ def called(owner: type, method: str) -> set[tuple[str, str]]:
 
 
 def test_each_call_of_a_tick_is_among_the_stages() -> None:
-    """But for the two halves of the agent, whose stages are, and the recorder, whose defects end the recording alone."""
+    """But for the parts of the agent, whose stages are, and the recorder, whose defects end the recording alone."""
     flight = FailingFlight(AutopilotKind.PX4)
     listed = [stage(flight) for stage in STAGES.values()]
     without_recorder = (None, "tick")
-    halves = [(flight.agent, "decide"), (flight.agent, "report")]
+    parts = [(flight.agent, part) for part in ("prepare", "decide", "report")]
     calls = [(getattr(flight.loop, attribute), method) for attribute, method in called(ControlLoop, "tick")]
     calls += [
-        (getattr(flight.agent, attribute), method)
-        for half in ("decide", "report")
-        for attribute, method in called(Agent, half)
+        (getattr(flight.agent, attribute), method) for _, part in parts for attribute, method in called(Agent, part)
     ]
-    for apart in (without_recorder, *halves):
+    for apart in (without_recorder, *parts):
         assert apart in calls
-    missing = [call for call in calls if call not in [without_recorder, *halves, *listed]]
+    missing = [call for call in calls if call not in [without_recorder, *parts, *listed]]
     assert missing == []
 
 

@@ -168,7 +168,7 @@ def test_a_position_ticks_within_the_call() -> None:
         calls, ticks = Calls(), list[int]()
 
         def arrive() -> None:
-            calls.trigger.position_arrived()
+            calls.trigger.position_arrived(time.monotonic())
             ticks.append(len(calls.ticks_s))
 
         asyncio.get_running_loop().call_soon(arrive)
@@ -187,11 +187,25 @@ def test_each_tick_is_prepared_once_shortly_before_the_next_position_is_expected
         assert prepared_s <= next_s
 
 
+def test_a_position_that_is_read_late_moves_no_preparation() -> None:
+    """It was read 10 ms after its arrival: the next tick is prepared 8 ms after it, before what is due in 13 ms."""
+
+    async def scenario() -> list[int]:
+        calls, loop, prepared = Calls(), asyncio.get_running_loop(), list[int]()
+        now_s = loop.time()
+        loop.call_soon(calls.trigger.position_arrived, now_s - 0.01)
+        loop.call_at(now_s + 0.013, lambda: prepared.append(len(calls.prepared_s)))
+        await calls.run(2)
+        return prepared
+
+    assert asyncio.run(scenario()) == [1]
+
+
 def test_a_position_that_comes_early_needs_no_preparation() -> None:
     async def scenario() -> Calls:
         calls, loop = Calls(), asyncio.get_running_loop()
-        loop.call_soon(calls.trigger.position_arrived)
-        loop.call_soon(calls.trigger.position_arrived)
+        loop.call_soon(calls.trigger.position_arrived, time.monotonic())
+        loop.call_soon(calls.trigger.position_arrived, time.monotonic())
         await calls.run(2)
         return calls
 
@@ -203,7 +217,7 @@ def test_a_flood_of_positions_triggers_few_ticks_more_than_the_nominal_rate() ->
         calls, loop = Calls(), asyncio.get_running_loop()
 
         def flood() -> None:
-            calls.trigger.position_arrived()
+            calls.trigger.position_arrived(time.monotonic())
             loop.call_soon(flood)
 
         loop.call_soon(flood)
@@ -221,7 +235,7 @@ def test_positions_that_were_delayed_trigger_ticks_at_once() -> None:
 
         def arrive() -> None:
             for _ in range(TICKS_AT_ONCE - 1):
-                calls.trigger.position_arrived()
+                calls.trigger.position_arrived(time.monotonic())
                 ticks.append(len(calls.ticks_s))
 
         asyncio.get_running_loop().call_later(1.5 * BACK_UP_S, arrive)  # after a tick without them
@@ -235,7 +249,7 @@ def test_after_the_end_a_position_triggers_nothing() -> None:
     async def scenario() -> Calls:
         calls = Calls()
         await calls.run(1)
-        calls.trigger.position_arrived()
+        calls.trigger.position_arrived(time.monotonic())
         return calls
 
     assert len(asyncio.run(scenario()).ticks_s) == 1

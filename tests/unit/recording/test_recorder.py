@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 from agent_on_bytes import PERIOD_S, FailingFlight
 from common import until
 from companion.core.consensus.law import cooperative
+from companion.link.tick import PREPARED_S
 from companion.recording.codec import decode_inbox, decode_outbox, encode
 from companion.recording.files import PartFiles
 from companion.recording.mcap_part import MOST_BYTES, TOO_MUCH, MessageChunk
@@ -278,3 +279,16 @@ def test_the_failure_of_an_agent_is_recorded(tmp_path: Path) -> None:
     *_, before, failed = recorded.ticks(print)
     assert before.output and not failed.output  # the input that the agent failed at
     assert failed.now_s > before.now_s
+
+
+def test_a_tick_is_recorded_with_what_its_first_part_saw_and_when(tmp_path: Path) -> None:
+    recording = recorder(tmp_path, WritingAtOnce())
+    flight = flight_with(recording).fly_to(P.FORMATION)
+    flight.inject(flight.agent.consensus, "receive")
+    flight.ticks(1.0)
+    recording.close()
+    (recorded,) = recordings(tmp_path, print)
+    *_, before, failed = recorded.ticks(print)
+    assert before.inbox.prepared_s == pytest.approx(before.now_s - PREPARED_S)
+    assert failed.now_s == failed.inbox.prepared_s == flight.failed_s - PREPARED_S
+    assert not failed.output

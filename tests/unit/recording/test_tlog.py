@@ -62,7 +62,7 @@ def test_only_what_was_sent_is_recorded(monkeypatch: pytest.MonkeyPatch) -> None
     recorded: list[bytes] = []
     translator = Translator(3, AutopilotKind.PX4)
     record = lambda packet, _now_s: recorded.append(packet)  # noqa: E731
-    link = AutopilotLink(3, "", translator, lambda: None, lambda _code: None, record)
+    link = AutopilotLink(3, "", translator, lambda _arrived_s: None, lambda _code: None, record)
     link.command(AttitudeTarget(0.0, 0.0, 0.0, 0.5), 1.0)
     assert link.offer(b"sent")
     assert not link.offer(b"link is busy")
