@@ -38,8 +38,9 @@ from companion.types.peers import ReceivedTraffic
 from companion.types.status import SeparationReport
 from companion.types.values import Vector3
 
-# Active-set steps where another vehicle presses for long: it, fence and limits contradict each other.
-PRESSED_STEPS = 15
+# Active-set steps where another vehicle presses for long, or the column below a silent one is near: they contradict fence,
+# limits and each other.
+CONTRADICTED_STEPS = 15
 WORSE_M_S2 = 1.0  # a turn may miss the constraints of a rank by so much more
 TURN_STEPS = 3  # active-set steps for the second solution, with the turn to the right
 
@@ -103,11 +104,15 @@ class SafetyFilter:
         if self.traffic:
             others += traffic_nearby(now_s, vehicle, self.traffic)
         barriers = separation.barriers(ahead, vehicle.position_error, slot, others)
-        if len(fresh) < len(peers):
-            barriers += separation.barriers_below(ahead, vehicle.position_error, slot, others)
+        steps = MOST_STEPS
+        if len(fresh) < len(peers) and (
+            below := separation.barriers_below(ahead, vehicle.position_error, slot, others)
+        ):
+            barriers += below
+            steps = CONTRADICTED_STEPS
         pressure, acting = self._pressure, barriers
         if pressure.pressing and pressure.lasts:
-            acting = pressure.bounded(barriers)
+            acting, steps = pressure.bounded(barriers), CONTRADICTED_STEPS
         slowed, speed = self._bounds.limit_speed(ahead, wanted_enu_m_s2)
         # The speed limit is among the constraints, too: what the filter adds must not exceed it.
         constraints = [barrier.constraint for barrier in acting]
@@ -115,7 +120,6 @@ class SafetyFilter:
         constraints += self._bounds.constraints(ahead, vehicle.ground_position_enu_m)
         constraints += speed
         limits = replace(self._limits, disturbance_enu_m_s2=disturbance_enu_m_s2)
-        steps = PRESSED_STEPS if acting is not barriers else MOST_STEPS
         allowed = filter_acceleration(slowed, constraints, limits, steps)
         nearest, violated = None, False
         if barriers:
