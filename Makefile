@@ -2,7 +2,10 @@
 # What measures the product is in tests/lab.mk, what builds and boots packages in deploy/package.mk, what makes the
 # documentation in docs/docs.mk.
 
-PYTHON ?= python3
+# The distribution's Python where it has venv: it is built with optimisation, which many others are not, and takes 0.73 to 0.88 of
+# their CPU time. The flights are the same to the bit.
+PYTHON ?= $(shell /usr/bin/python3 -c 'import ensurepip, sys; sys.exit(sys.version_info < (3, 11))' 2> /dev/null && \
+	echo /usr/bin/python3 || echo python3)
 SCENARIO ?= config/scenarios/platoon.yaml
 BIN := .venv/bin
 PIP_INSTALL = pip install --quiet --disable-pip-version-check --constraint constraints.txt

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+import sys
+import sysconfig
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -50,12 +52,24 @@ class Meanwhile:
         return Machine(
             processor=_processor(),
             cores=len(os.sched_getaffinity(0)),
-            python=platform.python_version(),
+            python=python_in_words(),
             commit=_commit(),
             date=f"{datetime.now(UTC):%Y-%m-%d}",
             lasted_s=self.lasted_s,
             stolen_percent=stolen_percent(self._core_time, core_time()),
         )
+
+
+def python_in_words() -> str:
+    """Version and build. One without profile-guided optimisation takes up to 1.4 times the CPU time of the distribution's."""
+    options = sysconfig.get_config_var("CONFIG_ARGS") or ""
+    if sys.base_prefix == "/usr":
+        build = "the distribution's build"
+    elif "--enable-optimizations" in options:
+        build = "built with --enable-optimizations"
+    else:
+        build = "built without optimisation"
+    return f"{platform.python_version()} ({build})"
 
 
 def _processor() -> str:

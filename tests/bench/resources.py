@@ -42,13 +42,13 @@ def section(flown: dict[int, Flown]) -> Section:
     cpu = {peers: _cpu_percent(one) for peers, one in flown.items()}
     rows = []
     for peers, one in flown.items():
-        target = Target("value", most=5.0) if peers == FEW else None
+        target = Target("value", most=5.5) if peers == FEW else None
         what, remark = f"CPU of an agent, {peers} peers", one.failure
         rows.append(Row(what=what, unit="% of a core", values=cpu[peers], target=target, remark=remark))
     for more in (SOME, MANY):
         each = tuple((b - a) / (more - FEW) for a, b in zip(cpu[FEW], cpu[more], strict=False))
         what = f"CPU for each further peer, from {FEW} to {more}"
-        rows.append(Row(what=what, unit="% of a core", values=each, target=Target("value", most=0.2)))
+        rows.append(Row(what=what, unit="% of a core", values=each, target=Target("value", most=0.15)))
     for peers, one in flown.items():
         target = Target("value", most=45.0) if peers == FEW else None
         what = f"memory of an agent, {peers} peers"
@@ -58,7 +58,7 @@ def section(flown: dict[int, Flown]) -> Section:
             what=f"ticks of the slowest of {peers + 1} agents",
             unit="Hz",
             values=rate_of_slowest_hz(one),
-            target=Target("value", least=49.5, most=50.5) if peers == MANY else None,
+            target=Target("value", least=49.8, most=50.2) if peers == MANY else None,
             remark=_formation(one) if peers == MANY else "",
         )
         for peers, one in flown.items()
