@@ -12,6 +12,7 @@ from collections.abc import Callable
 from itertools import accumulate
 from math import inf, log
 from pathlib import Path
+from typing import Protocol
 
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code, Notice
@@ -45,13 +46,15 @@ class TickTrigger:
     """
 
     def __init__(self) -> None:
-        self._ticking: _Ticking | None = None
+        self._ticking: Ticking | None = None
+        self._ended: asyncio.Future[None] | None = None
 
     async def run(self, tick: Callable[[], None], prepare: Callable[[], None]) -> None:
         """Tick until `end`, with `prepare` shortly before a position is expected. Neither may raise."""
-        self._ticking = _Ticking(asyncio.get_running_loop(), tick, prepare)
+        loop = asyncio.get_running_loop()
+        self._ended, self._ticking = loop.create_future(), Ticking(loop, tick, prepare)
         try:
-            await self._ticking.ended
+            await self._ended
         finally:
             self._ticking.end()
 
@@ -62,41 +65,61 @@ class TickTrigger:
 
     def end(self) -> None:
         """No further tick; `run` returns."""
-        if self._ticking:
+        if self._ticking and self._ended:
             self._ticking.end()
+            if not self._ended.done():
+                self._ended.set_result(None)
 
 
-class _Ticking:
-    """The ticks of one run, and its timer: for the preparation, then for the back-up, or for a position that came too soon."""
+class Timer(Protocol):
+    """A call that is to come."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, tick: Callable[[], None], prepare: Callable[[], None]) -> None:
-        self._loop, self._tick, self._prepare = loop, tick, prepare
-        self.ended: asyncio.Future[None] = loop.create_future()
-        self._ticked_s = loop.time()  # when the last tick began
+    def cancel(self) -> None:
+        """It does not come."""
+
+
+class Timers(Protocol):
+    """What ticks need of an event loop: its clock, and calls at a time. That of virtual time has both, too."""
+
+    def time(self) -> float:
+        """Now, seconds."""
+
+    def call_at(self, when: float, callback: Callable[[], None], /) -> Timer:
+        """Call once at this time."""
+
+
+class Ticking:
+    """The ticks of one run. The one timer is for the preparation, the back-up, or a position that came too soon."""
+
+    def __init__(self, timers: Timers, tick: Callable[[], None], prepare: Callable[[], None]) -> None:
+        self._timers, self._tick, self._prepare = timers, tick, prepare
+        self._has_ended = False
+        self._ticked_s = timers.time()  # when the last tick began
         self._expected_s = -inf  # when the next position will come
         self._nominal_s = -inf  # time of the next tick at the highest mean rate
         self._postponed = False  # whether the timer is for a position that came too soon
-        self._timer = loop.call_at(self._ticked_s + BACK_UP_S, self._tick_now)
+        self._timer = timers.call_at(self._ticked_s + BACK_UP_S, self._tick_now)
 
     def position_arrived(self, arrived_s: float) -> None:
+        """As `TickTrigger.position_arrived`."""
         self._expected_s = arrived_s + PERIOD_S
         earliest_s = self._nominal_s - (TICKS_AT_ONCE - 1) * LEAST_PERIOD_S
-        if earliest_s <= self._loop.time():
+        if earliest_s <= self._timers.time():
             self._tick_now()
         elif not self._postponed:
             self._postponed = True
             self._set_timer(earliest_s, self._tick_now)
 
     def end(self) -> None:
+        """No further tick."""
+        self._has_ended = True
         self._timer.cancel()
-        if not self.ended.done():
-            self.ended.set_result(None)
 
     def _tick_now(self) -> None:
-        if self.ended.done():
+        if self._has_ended:
             return
         self._postponed = False
-        self._ticked_s = self._loop.time()
+        self._ticked_s = self._timers.time()
         self._nominal_s = max(self._nominal_s, self._ticked_s) + LEAST_PERIOD_S
         if self._expected_s <= self._ticked_s:  # no position came
             self._expected_s = self._ticked_s + PERIOD_S
@@ -109,8 +132,8 @@ class _Ticking:
 
     def _set_timer(self, at_s: float, callback: Callable[[], None]) -> None:
         self._timer.cancel()
-        if not self.ended.done():
-            self._timer = self._loop.call_at(at_s, callback)
+        if not self._has_ended:
+            self._timer = self._timers.call_at(at_s, callback)
 
 
 class LateLoopLog:

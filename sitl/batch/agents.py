@@ -140,13 +140,12 @@ def _weighted_sum(used: ReceivedPackets, packets: FloatArray, shares: FloatArray
     has_neighbours = total > 0.0
     weights = shares / np.where(has_neighbours, total, 1.0)[:, None]
     sums = np.matmul(weights[:, None, :], packets[:, :, :9])[:, 0].T
-    if used.age_s is not None:
-        near_leader = packets[:, :, PRC] <= NEAR_LEADER_PRC
-        age_s = np.minimum(used.age_s, np.where(near_leader, EXTRAPOLATED_NEAR_LEADER_S, EXTRAPOLATED_MOST_S))
-        over_age, over_square = (weights * age_s)[:, None, :], (weights * (0.5 * age_s * age_s))[:, None, :]
-        velocity, acceleration = packets[:, :, VELOCITY], packets[:, :, ACCELERATION]
-        sums[REDUCED_POSITION] += (np.matmul(over_age, velocity) + np.matmul(over_square, acceleration))[:, 0].T
-        sums[VELOCITY] += np.matmul(over_age, acceleration)[:, 0].T
+    near_leader = packets[:, :, PRC] <= NEAR_LEADER_PRC
+    age_s = np.minimum(used.age_s, np.where(near_leader, EXTRAPOLATED_NEAR_LEADER_S, EXTRAPOLATED_MOST_S))
+    over_age, over_square = (weights * age_s)[:, None, :], (weights * (0.5 * age_s * age_s))[:, None, :]
+    velocity, acceleration = packets[:, :, VELOCITY], packets[:, :, ACCELERATION]
+    sums[REDUCED_POSITION] += (np.matmul(over_age, velocity) + np.matmul(over_square, acceleration))[:, 0].T
+    sums[VELOCITY] += np.matmul(over_age, acceleration)[:, 0].T
     return sums, has_neighbours
 
 

@@ -1,8 +1,9 @@
 """Peer packets sent and received by all vehicles: companion.core.consensus.peers and `sitl.links.network` in arrays.
 
-Times are exact, as in lockstep: a packet is used from its receiver's first tick after its arrival. It is extrapolated from the
-tick of its first use without jitter; in lockstep the agents measure that delay while they hover. On a link counts the newest
-packet, with random loss and delay. Plausibility checks of peers are left out: a peer faster than `max_speed_m_s` is used too.
+Times are exact, as in lockstep: a packet is used from its receiver's first tick after its arrival. It is extrapolated from its
+receipt without jitter: in that tick, or in its first part, PREPARED_S before; in lockstep the agents measure that delay while
+they hover. On a link counts the newest packet, with random loss and delay. Plausibility checks of peers are left out: a peer
+faster than `max_speed_m_s` is used too.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from companion.analysis.interaction import FloatArray
 from companion.config.fleet import EdgeNeighbours, FleetConfig
+from companion.link.tick import PREPARED_S
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.columns import LINKS, BoolArray, Columns, IntArray
 from sitl.flight.files import ids_of
@@ -29,12 +31,12 @@ REDUCED_POSITION, VELOCITY, ACCELERATION, PRC, SHARE, WIDTH = slice(0, 3), slice
 class ReceivedPackets:
     """The newest packets of a group from its candidates, as indices (G, K) into the ring; `fresh` (G, K) marks those in use.
 
-    `age_s` (G, K) is the age of a packet beyond that of one without jitter; None where no link is random.
+    `age_s` (G, K) is the time since the receipt of a packet without jitter.
     """
 
     indices: IntArray
     fresh: BoolArray
-    age_s: FloatArray | None
+    age_s: FloatArray
 
     def only(self, members: BoolArray) -> ReceivedPackets:
         """The packets of `members` (G, K) alone, in as short rows as possible: a tenth of the candidates are in range."""
@@ -45,8 +47,6 @@ class ReceivedPackets:
         at = (receiver, np.arange(receiver.size) - first[receiver])
         indices, fresh = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.bool_)
         indices[at], fresh[at] = self.indices[receiver, candidate], True
-        if self.age_s is None:
-            return ReceivedPackets(indices, fresh, None)
         age_s = np.zeros(shape)
         age_s[at] = self.age_s[receiver, candidate]
         return ReceivedPackets(indices, fresh, age_s)
@@ -65,6 +65,8 @@ class Packets:
         phase = columns.phase_steps / TELEMETRY_STEPS
         ticks_late = phase[candidates.sender] - phase[:, None] + delay
         self._lag = lag = ticks_until_use(ticks_late)
+        waits = lag - ticks_late > PREPARED_S / PERIOD_S + ROUND_TICKS
+        self._since_receipt_s = np.where(waits, PREPARED_S, 0.0)
         jitter_s = max(scenario.links.peer_jitter_s for scenario in scenarios)
         is_random = jitter_s > 0.0 or any(scenario.links.peer_loss > 0.0 for scenario in scenarios)
         self._arrivals = LinkArrivals(scenarios, columns, candidates.valid, ticks_late) if is_random else None
@@ -84,12 +86,13 @@ class Packets:
         """The newest packets of this group in this tick."""
         if self._arrivals is None:
             indices = self._first_index[group] + tick % self._kept * self._count
-            return ReceivedPackets(indices, self._valid[group], None)
+            return ReceivedPackets(indices, self._valid[group], self._since_receipt_s[group])
         newest = self._arrivals.newest(tick, group)
         ages_ticks = tick - newest - self._lag[group]
         indices = newest % self._kept * self._count + self._sender[group]
         fresh = self._arrivals.fresh(ages_ticks, group) & self._valid[group]
-        return ReceivedPackets(indices, fresh, np.multiply(ages_ticks, PERIOD_S, dtype=np.float64))
+        age_s = np.multiply(ages_ticks, PERIOD_S, dtype=np.float64) + self._since_receipt_s[group]
+        return ReceivedPackets(indices, fresh, age_s)
 
     def packets(self, received: ReceivedPackets) -> FloatArray:
         """Packets (G, K, WIDTH)."""
@@ -98,8 +101,7 @@ class Packets:
     def reduced_positions_enu_m(self, received: ReceivedPackets) -> FloatArray:
         """Positions minus slots (G, K, 3), extrapolated to this tick."""
         motions = self._motions.take(received.indices, axis=0, mode="wrap")
-        if received.age_s is not None:
-            motions[:, :, :3] += motions[:, :, 3:] * received.age_s[:, :, None]
+        motions[:, :, :3] += motions[:, :, 3:] * received.age_s[:, :, None]
         return motions[:, :, :3]
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from heapq import heappop, heappush
+from math import inf
 from pathlib import Path
 from random import Random
 
@@ -15,13 +17,14 @@ from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
 from companion.ground.answers import TimedReply
+from companion.link.tick import Ticking
 from companion.mavlink.autopilot_types import DIALECTS
 from companion.recording.recorder import recorder_of
 from companion.recording.records import TimingRecord
 from companion.recording.writing import WritingAtOnce
 from companion.types.autopilot import AutopilotMode, Telemetry
 from companion.types.commands import Command, CommandName, CommandReply, Content
-from companion.types.peers import ReceivedTarget, TargetSample
+from companion.types.peers import ReceivedPeerPacket, ReceivedTarget, TargetSample
 from companion.types.status import Status
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import Vector3
@@ -189,7 +192,7 @@ class Lockstep:
             vehicle.close()
 
     def _step(self) -> None:
-        """One step of DT_S of all stand-ins, then the ticks of the agents until the next one."""
+        """One step of DT_S of all stand-ins, then the ticks of the agents until the next one, in the order of their times."""
         self._steps += 1
         now_s = self._now_s = self._steps * DT_S
         for stand_in in self.stand_ins:
@@ -198,14 +201,45 @@ class Lockstep:
             for stand_in in self.stand_ins:
                 stand_in.record(now_s)
         next_step_s = now_s + DT_S
-        for vehicle in self.in_order:
-            # Every position that arrives before the next step triggers a tick.
-            while (tick_s := vehicle.link.tick_s(next_step_s)) is not None:
-                vehicle.tick(tick_s)
+        due = [(at_s, i) for i, vehicle in enumerate(self.in_order) if (at_s := vehicle.next_s) < next_step_s]
+        due.sort()
+        while due:
+            at_s, i = heappop(due)
+            vehicle = self.in_order[i]
+            vehicle.go_on(at_s)
+            if (next_s := vehicle.next_s) < next_step_s:
+                heappush(due, (next_s, i))
+
+
+class VirtualTimer:
+    """Clock and timer of one agent's ticks in virtual time; `Ticking` never has two timers."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.at_s = inf
+        self._callback: Callable[[], None] = lambda: None
+
+    def time(self) -> float:
+        """Virtual time since the start, seconds."""
+        return self.now_s
+
+    def call_at(self, when: float, callback: Callable[[], None], /) -> VirtualTimer:
+        """Call once at this time."""
+        self.at_s, self._callback = when, callback
+        return self
+
+    def cancel(self) -> None:
+        """It does not call."""
+        self.at_s = inf
+
+    def fire(self) -> None:
+        """Call now."""
+        self.cancel()
+        self._callback()
 
 
 class VirtualAgent:
-    """An agent with its links: fills the Inbox, runs a tick, sends the Outbox, as the agent's process does."""
+    """An agent with its links: fills the Inbox, runs a tick, sends the Outbox, as the agent's process does and when it does."""
 
     def __init__(
         self,
@@ -225,9 +259,11 @@ class VirtualAgent:
         self._starts = 1
         self._kept: tuple[Telemetry, ...] = ()  # for the first tick of a new agent
         self._recordings = recordings
-        self._start()
+        self._timer = VirtualTimer()
+        self._prepared: Inbox | None = None  # what the first part of the next tick saw, once it has run
         self._commands: tuple[Command, ...] = ()
         self._targets: tuple[tuple[str, TargetSample], ...] = ()
+        self._start()
         self._reply: CommandReply | None = None  # the last
         self._distant_ids: tuple[int, ...] = ()
         self.status: Status | None = None  # the newest
@@ -244,16 +280,45 @@ class VirtualAgent:
         """The reply to the command with this number, None without one."""
         return self._reply if self._reply and self._reply.number == number else None
 
-    def tick(self, now_s: float) -> None:
+    @property
+    def next_s(self) -> float:
+        """When the next position or the timer of the ticks is due."""
+        return min(self.link.position_s, self._timer.at_s)
+
+    def go_on(self, now_s: float) -> None:
+        """What is due at `next_s`: a tick, or the first part of one."""
+        self._timer.now_s = now_s
         runs = self._process_runs(now_s)
-        telemetry, packets = self._kept + self.link.drain(now_s), self.network.receive(self.vehicle_id, now_s)
-        self._kept = ()
+        if self.link.position_s <= now_s:
+            self.link.take_position()
+            if runs:
+                self._ticking.position_arrived(now_s)
+            else:
+                self._lose_input(now_s)
+        elif not runs:
+            self._timer.call_at(self._ends[0].until_s, lambda: None)
+        elif self._timer.at_s <= now_s:  # not that of a process that has just started
+            self._timer.fire()
+
+    def _prepare(self) -> None:
+        now_s = self._timer.now_s
+        packets, commands = self.network.receive(self.vehicle_id, now_s), self._commands
         targets = tuple([ReceivedTarget(now_s, name, target) for name, target in self._targets])
-        inbox = Inbox(telemetry, packets, self._commands, targets=targets, prepared_s=now_s, early=len(packets))
+        self._prepared = Inbox(peers=packets, commands=commands, targets=targets, prepared_s=now_s, early=len(packets))
         self._commands, self._targets = (), ()
-        if not runs:  # the input is lost: nothing waits for the next process
-            return
-        self.agent.prepare(now_s, packets, inbox.commands)
+        self.agent.prepare(now_s, packets, commands)
+
+    def _tick(self) -> None:
+        now_s = self._timer.now_s
+        late: tuple[ReceivedPeerPacket, ...] = ()
+        if self._prepared is None:
+            self._prepare()
+        else:
+            late = self.network.receive(self.vehicle_id, now_s)
+        seen, self._prepared = self._prepared, None
+        assert seen is not None
+        telemetry, self._kept = self._kept + self.link.drain(now_s), ()
+        inbox = replace(seen, telemetry=telemetry, peers=seen.peers + late)
         decision = self.agent.decide(now_s, inbox)
         outbox = self.agent.report(decision)
         self._send(now_s, outbox)
@@ -261,6 +326,12 @@ class VirtualAgent:
             sent = round_outbox(outbox)
             report = StatusReport(sent.status, NOT_TIMED) if sent.status else None
             self._recorder.tick(now_s, inbox, decision, sent, report, TimingRecord(now_s, 0, 0, 0, None))
+
+    def _lose_input(self, now_s: float) -> None:
+        """Nothing waits for the next process."""
+        self.link.drain(now_s)
+        self.network.receive(self.vehicle_id, now_s)
+        self._commands, self._targets = (), ()
 
     def close(self) -> None:
         """End the recording."""
@@ -285,6 +356,7 @@ class VirtualAgent:
         """A new process of the agent."""
         config = _config(self._scenario, self.vehicle_id)
         self.agent: Agent = build_agent(config, self._starts)
+        self._ticking, self._prepared = Ticking(self._timer, self._tick, self._prepare), None
         self._recorder = (
             recorder_of(config, self._starts, self._recordings, 0.0, 0.0, WritingAtOnce()) if self._recordings else None
         )

@@ -187,11 +187,14 @@ class DirectLink:
 
     # ------------------------------------------------------------ the agent's end
 
-    def tick_s(self, before_s: float) -> float | None:
-        """Arrival time of the next position, which triggers a tick; None if none arrives before `before_s`."""
-        if not self._positions_s or self._positions_s[0] >= before_s:
-            return None
-        return self._positions_s.popleft()
+    @property
+    def position_s(self) -> float:
+        """Arrival time of the next position, which triggers a tick; infinite where none is on its way."""
+        return self._positions_s[0] if self._positions_s else inf
+
+    def take_position(self) -> None:
+        """That position has triggered its tick."""
+        self._positions_s.popleft()
 
     def drain(self, now_s: float) -> tuple[Telemetry, ...]:
         """All telemetry that has arrived since the last call."""

@@ -10,6 +10,7 @@ from companion.core.consensus.neighbours import LOW_RATE_TICKS
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from sitl.vehicle.config import Links
 
+ROUNDING_S = 1e-9  # what arrives at the time of a receipt is received by the next one
 SUBSCRIBED_AFTER_S = 0.05  # a change of rate takes effect, beside the delay of the path
 
 
@@ -81,6 +82,7 @@ class Network:
     def receive(self, vehicle_id: int, now_s: float) -> tuple[ReceivedPeerPacket, ...]:
         """Packets that arrived since the last call; as on board, their time of receipt is that of this call."""
         waiting, packets = self._in_transit[vehicle_id], []
-        while waiting and waiting[0][0] < now_s:
+        before_s = now_s - ROUNDING_S
+        while waiting and waiting[0][0] < before_s:
             packets.append(ReceivedPeerPacket(now_s, heappop(waiting)[2]))
         return tuple(packets)

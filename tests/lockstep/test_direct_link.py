@@ -141,8 +141,9 @@ def test_positions_trigger_ticks_at_50_hz_from_their_phase() -> None:
     ticks, samples = [], []
     for step in range(1, 51):
         stepped(link, step, step)
-        while (tick_s := link.tick_s((step + 1) * DT_S)) is not None:
-            ticks.append(tick_s)
-            samples += link.drain(tick_s)
+        while (position_s := link.position_s) < (step + 1) * DT_S:
+            link.take_position()
+            ticks.append(position_s)
+            samples += link.drain(position_s)
     assert ticks == pytest.approx([0.009 + 0.02 * i for i in range(10)])
     assert [s.received_s for s in samples if isinstance(s, PositionSample)] == ticks

@@ -2,12 +2,18 @@
 
 import io
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from common import ROOT
+from companion.core.report import Decision
+from companion.link.tick import BACK_UP_S, PREPARED_S
+from companion.types.autopilot import PositionSample
 from companion.types.flight import FlightPhase
+from companion.types.tick import Inbox
+from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
 from sitl.report.metrics import FormationFigures, formation_figures, stand_at
@@ -132,3 +138,41 @@ def test_progress_is_shown_in_virtual_time() -> None:
     fly_in_virtual_time(load_scenario(PLATOON, [SHORT]), FlightProgress("platoon", False, 0.0, shown))
     assert "step 4 of 5, form   0." in shown.getvalue()
     assert "vehicle 1   leader" in shown.getvalue()
+
+
+# ---------------------------------------------------------------- when the parts of a tick run
+
+
+def inboxes(seconds: float, *overrides: str) -> tuple[Lockstep, list[tuple[float, Inbox]]]:
+    """The fleet after so many seconds on the ground, and time and input of each tick of vehicle 2."""
+    lockstep, seen = Lockstep(load_scenario(PLATOON, overrides)), list[tuple[float, Inbox]]()
+    agent = lockstep.vehicles[2].agent
+    decide = agent.decide
+
+    def decided(now_s: float, inbox: Inbox) -> Decision:
+        seen.append((now_s, inbox))
+        return decide(now_s, inbox)
+
+    agent.decide = decided  # type: ignore[method-assign]
+    lockstep.sleep(seconds)
+    lockstep.close()
+    return lockstep, seen
+
+
+def test_a_tick_is_prepared_2_ms_before_and_packets_come_between() -> None:
+    """The positions come every 4 ms of some vehicle: packets that take 3 ms arrive 1 ms before a tick."""
+    _, seen = inboxes(1.0, "links.peer_delay_s=0.003")
+    steady = seen[10:]
+    assert [now_s - (inbox.prepared_s or 0.0) for now_s, inbox in steady] == pytest.approx([PREPARED_S] * len(steady))
+    between = [inbox.peers[inbox.early :] for _, inbox in steady]
+    assert any(between)
+    assert {late.received_s for late_ones in between for late in late_ones} <= {now_s for now_s, _ in steady}
+
+
+def test_without_positions_an_agent_ticks_by_its_back_up_timer() -> None:
+    late = "links.late_telemetry=[{vehicle: 2, from_s: 0.5, until_s: 0.8, delay_s: 0.3}]"
+    _, seen = inboxes(1.5, late)
+    times_s = [now_s for now_s, _ in seen]
+    assert max(b - a for a, b in pairwise(times_s)) == pytest.approx(BACK_UP_S)
+    without = [now_s for now_s, inbox in seen if not any(isinstance(one, PositionSample) for one in inbox.telemetry)]
+    assert len(without) >= 9

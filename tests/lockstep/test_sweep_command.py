@@ -84,7 +84,7 @@ def test_the_folder_and_the_output(tmp_path: Path) -> None:
     varied = ("--vary", "fleet.law.name=weighted,cooperative", "--vary", "fleet.law.exponent=0,2")
     done = sweep(PLATOON, *varied, "--seeds", 3, "--seconds", 4, "--out", tmp_path)
     assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    assert all("of 12 flights" in line for line in done.stderr.splitlines()), "on a slow machine it shows its progress"
     printed = done.stdout.splitlines()
     assert printed[0] == "platoon: 12 flights of 4 vehicles, 4 s each"
     assert printed[-1] == f"results in {tmp_path}"
