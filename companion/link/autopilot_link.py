@@ -22,7 +22,7 @@ from companion.config.vehicle import Signing, VehicleConfig
 from companion.link.byte_links import LinkError, open_link
 from companion.link.tick import monotonic_s
 from companion.mavlink.clock import REQUEST_PERIOD_S
-from companion.mavlink.codec import KEY_BYTES, SigningKey
+from companion.mavlink.codec import KEY_BYTES, Packet, SigningKey
 from companion.mavlink.translator import Translator
 from companion.types.autopilot import (
     AttitudeTarget,
@@ -66,7 +66,8 @@ class AutopilotLink:
     """Decodes telemetry as it arrives and keeps it for the next tick.
 
     Calls `position_arrived` with its time when all that waited is read and a position was among it: what an autopilot sends
-    together is decided on together. Calls `reject` with the code of every damaged or implausible packet.
+    together is decided on together. Packets are recorded and passed on after that, when the setpoint has left. Calls `reject`
+    with the code of every damaged or implausible packet.
     """
 
     def __init__(
@@ -85,6 +86,8 @@ class AutopilotLink:
         self._reject = reject
         self._telemetry: deque[Telemetry] = deque(maxlen=SAMPLES_KEPT)  # in a flood only the newest remain
         self._received: Counter[type[Telemetry]] = Counter()  # samples since the last check of the streams
+        # Neither counted, recorded nor passed on yet
+        self._arrived: list[tuple[float, Sequence[Packet], list[Telemetry]]] = []
         self._position_s: float | None = None  # when the newest position arrived among what was read just now
         self._heartbeat_received = asyncio.Event()
         # Any valid packet, or one signed with an old timestamp: that autopilot first needs the time of this computer.
@@ -219,30 +222,38 @@ class AutopilotLink:
         for _ in range(len(self._telemetry) + len(samples) - SAMPLES_KEPT):
             self._reject(Code.TELEMETRY_OVERLOAD)
         self._telemetry.extend(samples)
-        from_autopilot = bool(samples) or Code.MAVLINK_OLD_SIGNATURE in self._translator.rejected
+        rejected = self._translator.rejected
+        from_autopilot = bool(samples) or Code.MAVLINK_OLD_SIGNATURE in rejected
         if from_autopilot:
             self._present.set()
-        if self._translator.rejected:
-            for code in self._translator.rejected.elements():
+        if rejected:
+            for code in rejected.elements():
                 self._reject(code)
-            self._translator.rejected.clear()
+            rejected.clear()
         for sample in samples:
-            self._received[type(sample)] += 1
             if isinstance(sample, PositionSample):
                 self._position_s = received_s
             elif isinstance(sample, HeartbeatSample):
                 self._heartbeat_received.set()
-        if self._record:
-            for packet in self._translator.packets:
-                self._record(packet, received_s)
-        if self._pass_on and self.is_connected:
-            self._pass_on(self._translator.packets)
+        self._arrived.append((received_s, self._translator.packets, samples))
         return from_autopilot
 
     def _all_read(self) -> None:
         if (arrived_s := self._position_s) is not None:
             self._position_s = None
             self._position_arrived(arrived_s)
+        self._look_through()
+
+    def _look_through(self) -> None:
+        """Count, record and pass on what has arrived: a setpoint does not wait for that."""
+        for received_s, packets, samples in self._arrived:
+            self._received.update(map(type, samples))
+            if self._record:
+                for packet in packets:
+                    self._record(packet.data, received_s)
+            if self._pass_on and self.is_connected:
+                self._pass_on([packet.data for packet in packets])
+        self._arrived.clear()
 
 
 # ---------------------------------------------------------------- what the vehicle file says of it

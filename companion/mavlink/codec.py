@@ -14,7 +14,7 @@ from __future__ import annotations
 import hashlib
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -253,7 +253,7 @@ class PacketReader:
         """All packets in the kept bytes and `data`, in order, also those of unknown messages. Never raises."""
         if not self._rest and (packet := read_packet(data)) is not None and packet.message_id != UNKNOWN:
             self._doubtful, self._is_certain = 0, True
-            return [packet] if self._is_admitted(packet) else []  # nearly always
+            return [packet] if self._refusal is None or self._is_admitted(packet) else []  # nearly always
         waits = self._is_certain and bool(self._rest) and _known_after(self._rest, 0) == len(self._rest)
         waits = waits or (
             bool(self._rest) and _begins_packet(self._rest + data, 0)
@@ -408,21 +408,13 @@ class MavlinkCodec:
         self._signed = SignedMavlink(system_id, component_id, key) if key else None
         self._mav = self._signed or mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._reader = PacketReader(self._signed.refusal if self._signed else None)
-        self._packets: list[Packet] = []  # packets that the last `read` returned
-
-    @property
-    def refused(self) -> Counter[str]:
-        return self._reader.refused
-
-    @property
-    def packets(self) -> list[bytes]:
-        """Packets of the last `read`, unchanged, without refused ones."""
-        return [packet.data for packet in self._packets]
+        self.refused = self._reader.refused
+        self.packets: Sequence[Packet] = ()  # accepted ones of the last `read`, also of unknown messages
 
     def read(self, data: bytes) -> list[Packet]:
         """All complete packets in the earlier remainder and `data`, in order. Unknown ones are left out. Never raises."""
-        self._packets = self._reader.read(data)
-        return [packet for packet in self._packets if packet.message_id != UNKNOWN]
+        self.packets = packets = self._reader.read(data)
+        return [packet for packet in packets if packet.message_id != UNKNOWN]
 
     def decode(self, data: bytes) -> list[MavlinkMessage]:
         """The messages of `read`."""

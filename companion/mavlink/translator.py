@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import isfinite
 
 from companion.geometry.frames import euler_ned_from_enu, quaternion_from_euler
@@ -104,7 +104,7 @@ class Translator:
         return self._order.interleaves(received_s)
 
     @property
-    def packets(self) -> list[bytes]:
+    def packets(self) -> Sequence[Packet]:
         """Accepted packets of the last bytes, unchanged, including those of other systems and components."""
         return self._codec.packets
 

@@ -1,10 +1,9 @@
 """One MCAP file: messages of a second as a chunk, and the bytes of the file's beginning, of each chunk, and of its end.
 
 A chunk is put together in the event loop: framed there, compressed and written elsewhere. The records are those of the package
-`mcap`. Its `Writer` is not used for two reasons. It frames each message in Python, which here would hold the interpreter in the
-writing thread; and its compression level is fixed, which would make files a seventh larger. There is no message index:
-uncompressed, it would be a fifth of a file. Viewers then read a file from its beginning, as they do with one that power loss
-has cut.
+`mcap`. Its `Writer` is not used: it frames each message in Python, which here would hold the interpreter in the writing thread.
+There is no message index: uncompressed, it would be a fifth of a file. Viewers then read a file from its beginning, as they do
+with one that power loss has cut.
 """
 
 from __future__ import annotations
@@ -57,10 +56,9 @@ class MessageChunk:
 
 MAGIC = b"\x89MCAP0\r\n"  # first and last bytes of a file; mcap.writer, which has them too, would take 2 MB of memory
 CRC_BYTES = 4  # at the end of a footer, the one field that its checksum leaves out
-# Level 9 with longer matches, for text with many numbers: 25 us of a core for a tick. Level 3 makes files a seventh larger,
-# and level 15 takes ten times as long. A table of 2**15 recent places instead of the level's 2**19 takes 0.7 MB of memory, not
-# 3.1 MB, and a sixth less time, for files that are no larger: what repeats in a recording did so a few ticks before.
-COMPRESSION = zstandard.ZstdCompressionParameters.from_level(9, source_size=150_000, min_match=5, hash_log=15)
+# Level 1 with long matches: 6 us of a core for a tick. Level 9 takes five times as long for files an eighth smaller, and its
+# tables push what a tick needs out of the processor's cache; a table of 2**13 recent places is in the smallest one.
+COMPRESSION = zstandard.ZstdCompressionParameters.from_level(1, source_size=150_000, min_match=7, hash_log=13)
 
 
 def channel_ids(topics: Sequence[str]) -> dict[str, int]:

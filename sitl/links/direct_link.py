@@ -125,7 +125,7 @@ class DirectLink:
         self._setpoint_delay_s = links.setpoint_delay_s
         self._late = [late for late in links.late_telemetry if late.vehicle == autopilot.system_id]
         self._last_s = self._time_asked_s = -inf
-        self._end = end
+        self.end = end
         self._schedule = end.schedule
         unasked = {M.MAVLINK_MSG_ID_MISSION_CURRENT: self._schedule.default_hz(M.MAVLINK_MSG_ID_MISSION_CURRENT)}
         self._schedule.reset(unasked | rates_hz(autopilot.kind), phase_s)
@@ -145,15 +145,15 @@ class DirectLink:
             if isinstance(what, AttitudeSetpoint):
                 self.autopilot.take_setpoint(what)
             else:
-                self._send(self._end.receive(what), now_s)
+                self._send(self.end.receive(what), now_s)
 
     def send_telemetry(self, now_s: float) -> None:
         """Send the texts and the telemetry that are due."""
         if self.autopilot.texts:
-            self._send(self._end.texts(), now_s)
+            self._send(self.end.texts(), now_s)
             self.autopilot.texts.clear()
-        if self.autopilot.origin_changes and self._end.has_changes:  # the agent requests the first one itself
-            self._send(self._end.changes(), now_s)
+        if self.autopilot.origin_changes and self.end.has_changes:  # the agent requests the first one itself
+            self._send(self.end.changes(), now_s)
         if now_s < self._schedule.next_s:
             return
         received_s = self._received_s(now_s)

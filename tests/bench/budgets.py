@@ -1,4 +1,4 @@
-"""Budgets of the source of companion and sitl, and of one tick; tests/unit/test_budgets.py holds them.
+"""Budgets of the source, of a tick, and of the way from a position to its setpoint; tests/unit/test_budgets.py holds them.
 
 python -m tests.bench.budgets              what exceeds its budget; exit code 1 where something does
 python -m tests.bench.budgets --tighten    write today's figures where they are lower; never raises one
@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from tests.bench import tick
+from tests.bench import hot_path, tick
 
 TOP = Path(__file__).parents[2]
 FILE = TOP / "tests" / "unit" / "budgets.json"
@@ -68,6 +68,11 @@ def laboratory_exceptions() -> Budgets:
 def tick_budgets() -> Group:
     """Today's figures of one tick."""
     return asdict(tick.figures_of(tick.platoon_ticks()))
+
+
+def hot_path_budgets() -> Group:
+    """Today's figures from a position to its setpoint."""
+    return asdict(hot_path.figures())
 
 
 def stored() -> Budgets:
@@ -177,7 +182,7 @@ def _sorted(figures: Mapping[str, float]) -> Group:
 
 def main(arguments: list[str]) -> int:
     """The exit code."""
-    figures = {"tick": tick_budgets(), **source_budgets()}
+    figures = {"tick": tick_budgets(), "position_to_setpoint": hot_path_budgets(), **source_budgets()}
     problems = exceeded(figures, stored())
     print("\n".join(problems) or "all within their budgets")
     if "--tighten" in arguments:

@@ -6,13 +6,15 @@ import pytest
 
 from tests.bench import budgets
 
+FLOWN = ("tick", "position_to_setpoint")
+
 
 @pytest.fixture(scope="module")
 def source() -> budgets.Budgets:
     return budgets.source_budgets()
 
 
-@pytest.mark.parametrize("group", [group for group in budgets.stored() if group != "tick"])
+@pytest.mark.parametrize("group", [group for group in budgets.stored() if group not in FLOWN])
 def test_the_source_is_within_its_budgets(group: str, source: budgets.Budgets) -> None:
     assert budgets.exceeded({group: source[group]}, budgets.stored()) == []
 
@@ -24,6 +26,10 @@ def test_the_laboratory_needs_no_exception() -> None:
 
 def test_a_tick_of_a_follower_in_steady_formation_is_within_its_budgets() -> None:
     assert budgets.exceeded({"tick": budgets.tick_budgets()}, budgets.stored()) == []
+
+
+def test_what_lies_between_a_position_and_its_setpoint_is_within_its_budgets() -> None:
+    assert budgets.exceeded({"position_to_setpoint": budgets.hot_path_budgets()}, budgets.stored()) == []
 
 
 def test_tightening_never_raises_a_budget() -> None:

@@ -54,7 +54,7 @@ def packets(translator: Translator, flight: FailingFlight) -> list[bytes]:
     """What the autopilot sends now, as the link hands it on."""
     sent = flight.autopilot.send()
     translator.telemetry(sent, flight.now_s)
-    return translator.packets
+    return [packet.data for packet in translator.packets]
 
 
 def test_only_what_was_sent_is_recorded(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,14 @@ from pathlib import Path
 import pytest
 
 from common import until
-from companion.link.fleet.sockets import OPEN_FILES, end_begun, hold_silent_connections, second_name, stop_lingering
+from companion.link.fleet.sockets import (
+    OPEN_FILES,
+    end_begun,
+    hold_silent_connections,
+    open_sockets,
+    second_name,
+    stop_lingering,
+)
 from companion.link.fleet.zenoh_session import open_session
 from processes import free_port
 
@@ -46,16 +53,16 @@ def name(one: socket.socket) -> str:
 def test_a_connection_that_lingers_does_so_no_longer_and_is_looked_at_once(stack: ExitStack) -> None:
     one, other = connection(stack), connection(stack)
     one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, LINGERS)
-    done = stop_lingering(set())
+    done = stop_lingering(open_sockets(), set())
     assert not lingers(one)
     assert name(one) in done
     assert name(other) not in done
     other.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, LINGERS)
-    assert stop_lingering(done) == {name(one), name(other)}
+    assert stop_lingering(open_sockets(), done) == {name(one), name(other)}
     assert not lingers(other)
     gone = name(one)
     one.close()
-    assert gone not in stop_lingering(done)
+    assert gone not in stop_lingering(open_sockets(), done)
 
 
 def test_what_is_no_connection_is_left_alone(stack: ExitStack) -> None:
@@ -63,7 +70,7 @@ def test_what_is_no_connection_is_left_alone(stack: ExitStack) -> None:
     pair = [stack.enter_context(end) for end in socket.socketpair()]
     for one in (datagrams, *pair):
         one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, LINGERS)
-    stop_lingering(set())
+    stop_lingering(open_sockets(), set())
     assert all(lingers(one) for one in (datagrams, *pair))
 
 
@@ -111,7 +118,7 @@ def test_the_end_of_a_connection_whose_handshake_is_complete_arrives(stack: Exit
     accepted = stack.enter_context(listener.accept()[0])
     accepted.settimeout(20.0)
     accepted.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, LINGERS)  # as Zenoh does it then
-    stop_lingering(set())
+    stop_lingering(open_sockets(), set())
     other.close()
     assert (accepted.recv(1), accepted.recv(1)) == (b"x", b"")
 
@@ -120,7 +127,7 @@ def test_a_handshake_that_is_begun_does_not_break_off(stack: ExitStack, listener
     other = stack.enter_context(socket.create_connection(listener.getsockname()))
     other.sendall(b"x")
     accepted = stack.enter_context(listener.accept()[0])
-    stop_lingering(set())
+    stop_lingering(open_sockets(), set())
     other.close()
     accepted.settimeout(0.2)
     assert accepted.recv(1) == b"x"
@@ -139,7 +146,7 @@ def test_of_too_many_handshakes_that_were_begun_the_oldest_end(
         made[-1].sendall(b"x")
         stack.enter_context(listener.accept()[0])
     beside = stack.enter_context(socket.create_connection(other.getsockname()))
-    end_begun(set(), few, most)
+    end_begun(open_sockets(), set(), few, most)
     for number, one in enumerate(made):
         one.settimeout(20.0 if number < ended else 0.0)
         if number < ended:
@@ -166,7 +173,7 @@ def test_nothing_stays_open_that_was_looked_at(tmp_path: Path) -> None:
     with (tmp_path / "file").open("w"):
         before = len(list(OPEN_FILES.iterdir()))
         hold_silent_connections()
-        stop_lingering(set())
+        stop_lingering(open_sockets(), set())
         until(lambda: len(list(OPEN_FILES.iterdir())) <= before)
 
 
