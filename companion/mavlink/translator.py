@@ -184,18 +184,16 @@ class Translator:
     def attitude_target(self, target: AttitudeTarget, now_s: float) -> bytes:
         """SET_ATTITUDE_TARGET with attitude and thrust; `now_s` becomes its time_boot_ms."""
         euler_ned = euler_ned_from_enu(target.roll_rad, target.pitch_rad, target.yaw_rad)
-        return self._codec.encode(
-            mavlink.MAVLink_set_attitude_target_message(
-                int(now_s * 1000.0) & 0xFFFFFFFF,
-                self._system_id,
-                AUTOPILOT,
-                self.dialect.ATTITUDE_TYPE_MASK,
-                quaternion_from_euler(*euler_ned),
-                0.0,
-                0.0,
-                0.0,
-                self.dialect.thrust_of(target),
-            )
+        no_rate_rad_s = (0.0, 0.0, 0.0)
+        return self._codec.encode_values(
+            mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET,
+            int(now_s * 1000.0) & 0xFFFFFFFF,
+            *quaternion_from_euler(*euler_ned),
+            *no_rate_rad_s,
+            self.dialect.thrust_of(target),
+            self._system_id,
+            AUTOPILOT,
+            self.dialect.ATTITUDE_TYPE_MASK,
         )
 
     def request(self, request: AutopilotRequest) -> bytes:

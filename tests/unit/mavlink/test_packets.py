@@ -8,7 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common import count_calls
-from companion.mavlink.codec import UNKNOWN, MavlinkMessage, Packet, PacketReader, mavlink, read_packet
+from companion.mavlink.codec import (
+    UNKNOWN,
+    MavlinkCodec,
+    MavlinkMessage,
+    Packet,
+    PacketReader,
+    SigningKey,
+    mavlink,
+    read_packet,
+)
 
 HOT = (
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
@@ -134,3 +143,21 @@ def test_a_stream_gives_the_packets_and_refusals_that_pymavlink_would(parts: lis
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("companion.mavlink.codec.read_packet", judged_by_pymavlink)
         assert read_all(chunks) == found
+
+
+SENT = st.tuples(st.integers(0, 2**32 - 1), *[st.floats(width=32, allow_nan=False)] * 8, BYTE, BYTE, BYTE)
+KEY = SigningKey(bytes(range(32)), 3, lambda: 1_800_000_000.0)
+
+
+@MESSAGES
+@given(SENT | st.just((0,) * 12), st.sampled_from((1, 2, 257)), st.sampled_from((None, KEY)))
+def test_packets_from_values_are_those_of_pymavlink(
+    values: tuple[float, ...], packets: int, key: SigningKey | None
+) -> None:
+    time_ms, *numbers, system, component, mask = values
+    q, rates, thrust = numbers[:4], numbers[4:7], numbers[7]
+    message = mavlink.MAVLink_set_attitude_target_message(time_ms, system, component, mask, q, *rates, thrust)
+    codec, reference = MavlinkCodec(9, 191, key), MavlinkCodec(9, 191, key)
+    for _ in range(packets):
+        sent = codec.encode_values(mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET, *values)
+        assert sent == reference.encode(message)
