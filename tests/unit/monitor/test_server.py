@@ -59,8 +59,8 @@ def test_snapshots_come_in_order_with_each_event_once() -> None:
     with_server(work)
 
 
-async def connect_without_reading(server: Served) -> asyncio.WriteTransport:
-    """A client of the snapshots that reads nothing after the answer to its upgrade."""
+async def connect_without_reading(server: Served) -> asyncio.StreamWriter:
+    """A client of the snapshots that reads nothing after the answer to its upgrade, while this writer is kept."""
     port = URL(server.url).port
     reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1024)
     writer.write(
@@ -68,7 +68,7 @@ async def connect_without_reading(server: Served) -> asyncio.WriteTransport:
         "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n\r\n".encode()
     )
     assert (await reader.readline()).startswith(b"HTTP/1.1 101")
-    return writer.transport
+    return writer
 
 
 def test_a_client_that_does_not_read_delays_no_other() -> None:
@@ -80,7 +80,7 @@ def test_a_client_that_does_not_read_delays_no_other() -> None:
             numbers = [s["number"] for s in [await quick.receive_json() for _ in range(20)] if isinstance(s, dict)]
             assert numbers == sorted(set(numbers))
             assert len(numbers) >= 18
-        slow.abort()
+        slow.transport.abort()
 
     with_server(work)
 
@@ -96,7 +96,7 @@ def test_a_client_that_does_not_read_leaves_its_place(monkeypatch: pytest.Monkey
             return not server.site.clients.count
 
         await until_served(left, 1.5)  # without the heartbeat, which would come after 15 s
-        slow.abort()
+        slow.transport.abort()
 
     with_server(work)
 
