@@ -37,6 +37,7 @@ _ADVICE = {
     errno.EBUSY: _IN_USE,
     errno.EAGAIN: _IN_USE,  # the lock on a serial device
     errno.EADDRNOTAVAIL: "this machine has no such address; use one of its own, or 0.0.0.0 for all of them",
+    errno.ENODEV: "this machine has no network interface with this address",
     errno.EACCES: "no permission for {what}; use a port above 1023, or join the device's group (usually dialout)",
     errno.EPERM: "no permission for {what}; join the device's group (usually dialout)",
     errno.ENOENT: "there is no {what}; is it plugged in? expected a device like /dev/ttyACM0, see /dev/serial/by-id",

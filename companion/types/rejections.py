@@ -33,4 +33,4 @@ def count_rejection(rejected: Counter[str], key: str) -> Counter[str]:
     """A new count with one more of `key`. The old one may be part of a result already, so it is not modified."""
     if key not in rejected and len(rejected) >= MAX_DETAILED:
         key = key.partition(" ")[0]  # without the detail
-    return rejected + Counter([key])
+    return Counter({**rejected, key: rejected[key] + 1})

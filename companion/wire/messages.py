@@ -71,22 +71,18 @@ def seal(payload: bytes) -> bytes:
     return bytes((WIRE_VERSION,)) + payload
 
 
-def unseal(data: bytes) -> memoryview:
-    """The payload of a message of this version. Raises WireError."""
+def decode_sealed(decoder: msgspec.msgpack.Decoder[T], data: bytes, code: Code, what: str) -> T:
+    """The decoded message, with all values within the bounds of their types.
+
+    Raises WireError, for a malformed message of this code. It names the place of the wrong value, never the value: that may
+    be any text.
+    """
     if not data:
         raise WireError(Code.MESSAGE_EMPTY, "empty message")
     if data[0] != WIRE_VERSION:
         raise WireError(Code.WIRE_VERSION_DIFFERS, f"wire version {data[0]}, expected {WIRE_VERSION}", data[0])
-    return memoryview(data)[1:]
-
-
-def decode_sealed(decoder: msgspec.msgpack.Decoder[T], data: bytes, code: Code, what: str) -> T:
-    """The decoded message, with all values within the bounds of their types.
-
-    Raises WireError of this code. It names the place of the wrong value, never the value: that may be any text.
-    """
     try:
-        return decoder.decode(unseal(data))
+        return decoder.decode(memoryview(data)[1:])
     except DECODE_ERRORS as error:
         place = _PLACE.search(str(error))
         raise WireError(code, f"malformed {what}" + (f" at {place[1]}" if place else "")) from error

@@ -64,6 +64,15 @@ def test_a_group_is_joined_again_when_the_interface_is_made_again(tmp_path: Path
         assert len(result.logged) <= 2
 
 
+def test_a_group_is_joined_as_soon_as_there_is_an_interface(tmp_path: Path, stack: ExitStack) -> None:
+    hosts = stack.enter_context(plugged_hosts([*HOSTS.values()]))
+    hosts.remove_interface(HOSTS[1])
+    programs = vehicles(stack, hosts, tmp_path / "field", "10.78.0.{id+10}")
+    time.sleep(AWAY_S)
+    hosts.make_interface(HOSTS[1])
+    wait_for([*programs.values()], "heard")
+
+
 def names(known: bool) -> dict[int, str]:
     """/etc/hosts as Debian writes it; `known`: with the other vehicle."""
     return {

@@ -14,6 +14,7 @@ BLAKE2s (RFC 7693) of sender id and peer packet, 8 bytes long: a quarter of the 
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import hmac
 import logging
@@ -23,6 +24,7 @@ from collections.abc import Callable, Collection
 from functools import partial
 from ipaddress import ip_address
 from math import inf
+from typing import Any
 
 import zenoh
 
@@ -35,8 +37,8 @@ from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from companion.wire.keys import ANY, pairing_key, pairing_sender_of
 from companion.wire.messages import WireError, decode_peer, encode_peer
 
-READ_BYTES = 16_384  # a change of MAX_VEHICLES slots with a tag for each vehicle has 11,000; most packets a few hundred
 DATAGRAMS_PER_VEHICLE = 8  # read in one tick
+LATE_PER_VEHICLE = 2  # likewise where a setpoint waits; the rest of a flood waits for the next tick
 # A stranger may send as much as the network carries. To refuse a forged datagram takes 4 us here, so that in
 # a tick more of them are read than arrive at 20,000 a second, and none waits before those of the fleet.
 READ_WITH_SEAL = 512
@@ -45,6 +47,7 @@ LONGEST_BYTES, BYTES_PER_VEHICLE = 600, 40  # largest peer packet: a fixed part,
 SAME_NETWORK = 1  # time to live of multicast: no router passes it on
 DEAF_AFTER_S = 1.0  # without an own datagram, which comes back at once
 JOIN_AGAIN_S = 0.5  # between two tries
+NOT_THERE = (errno.ENODEV, errno.EADDRNOTAVAIL)  # no network interface has this address, yet or any more
 
 Address = tuple[str, int]
 
@@ -61,37 +64,72 @@ class PeerDatagrams:
         reject: Callable[[str], None],
         seal: DatagramSeal | None = None,
     ) -> None:
-        """Bind the socket and look up the receivers. With `seal` only authenticated datagrams are used. Raises LinkError."""
+        """Bind the socket and look up the receivers. With `seal` only authenticated datagrams are used. Raises LinkError.
+
+        A multicast group is joined later where its network interface is not there yet: an agent starts before its network.
+        """
         self.seal = seal
         self._fleet_ids = frozenset(member.id for member in fleet.vehicles)
         self._reject = reject
         self._published: bytes | None = None
-        self._read_in_a_tick = READ_WITH_SEAL if seal else DATAGRAMS_PER_VEHICLE * len(self._fleet_ids)
+        vehicles = len(self._fleet_ids)
+        self._most, self._most_late = DATAGRAMS_PER_VEHICLE * vehicles, LATE_PER_VEHICLE * vehicles
+        self._read_bytes = LONGEST_BYTES + BYTES_PER_VEHICLE * vehicles + 1  # of a longer datagram enough to refuse it
+        if seal:
+            self._most = READ_WITH_SEAL
+            self._read_bytes += HEADER_BYTES + vehicles * TAG_SPAN_BYTES
         self._receivers = [_resolve(endpoint) for endpoint in endpoints.send_to]
         self._group = next((host for host, _ in self._receivers if ip_address(host).is_multicast), None)
         self._listen = _interface(endpoints.listen, fleet) if self._group else _resolve(endpoints.listen)
         self._name = f"multicast {self._group} on {self._listen[0]}"
-        self._socket = _open_socket(self._listen, self._group)
+        self._socket: socket.socket | None = None
         self._heard_s: float | None = None  # the last time at which no own datagram was missing
         self._joins = 0  # tries since then
         self._is_awaited = self._is_absent = False
+        try:
+            self._socket = _open_socket(self._listen, self._group)
+        except LinkError as error:
+            if not self._group or getattr(error.__cause__, "errno", None) not in NOT_THERE:
+                raise
+            self._miss(error)
 
     def receive(self, now_s: float) -> tuple[ReceivedPeerPacket, ...]:
         """All peer packets since the last call. Never blocks."""
-        packets = []
-        for data in read_waiting(partial(self._socket.recv, READ_BYTES), self._read_in_a_tick):
+        packets = self._read(now_s, self._most)
+        if self._group:
+            self._keep_joined(self._group, now_s)
+        return packets
+
+    def receive_late(self, now_s: float) -> tuple[ReceivedPeerPacket, ...]:
+        """A few of the packets that the next `receive` would return. Never blocks."""
+        return self._read(now_s, self._most_late)
+
+    def _read(self, now_s: float, most: int) -> tuple[ReceivedPeerPacket, ...]:
+        """The packets of at most so many datagrams."""
+        if self._socket is None:
+            return ()
+        packets, fleet_ids, reject, seal = [], self._fleet_ids, self._reject, self.seal
+        for data in read_waiting(partial(self._socket.recv, self._read_bytes), most):
             self._is_awaited = False
             if data == self._published:
                 continue  # the own broadcast
-            if packet := self._packet(data):
+            sender_id: int | None = None
+            if seal is not None:
+                opened = seal.open_packet(data)
+                if opened is None:
+                    reject(Code.PEER_NOT_AUTHENTICATED)
+                    continue
+                sender_id, data = opened
+            packet = packet_of_fleet(data, fleet_ids, reject, sender_id)
+            if packet is not None:
                 packets.append(ReceivedPeerPacket(now_s, packet))
-        if self._group:
-            self._keep_joined(self._group, now_s)
         return tuple(packets)
 
     def _keep_joined(self, group: str, now_s: float) -> None:
         """The kernel gives every member its own datagrams back. Where it does not, the interface went or was made again."""
-        if not self._is_awaited or self._heard_s is None:
+        if self._heard_s is None:
+            self._heard_s = now_s
+        if self._socket is not None and not self._is_awaited:
             self._heard_s = now_s
             if self._joins:
                 _log.warning("%s: joined again, after the network interface was lost", self._name)
@@ -101,22 +139,16 @@ class PeerDatagrams:
             try:
                 opened = _open_socket(self._listen, group)
             except LinkError as error:
-                if not self._is_absent:
-                    _log.warning("%s: nothing is sent or received: %s", self._name, error)
-                self._is_absent = True
+                self._miss(error)
             else:
-                self._socket.close()
+                self.close()
                 self._socket = opened
 
-    def _packet(self, data: bytes) -> PeerPacket | None:
-        if self.seal is None:
-            return packet_of_fleet(data, self._fleet_ids, self._reject)
-        opened = self.seal.open_packet(data)
-        if isinstance(opened, Code):
-            self._reject(opened)
-            return None
-        sender_id, payload = opened
-        return packet_of_fleet(payload, self._fleet_ids, self._reject, sender_id)
+    def _miss(self, error: LinkError) -> None:
+        """Say once that the network interface is not there."""
+        if not self._is_absent:
+            _log.warning("%s: nothing is sent or received: %s", self._name, error)
+        self._is_absent = True
 
     def publish_peer(self, packet: PeerPacket) -> None:
         """Send the own peer packet to all receivers."""
@@ -124,13 +156,16 @@ class PeerDatagrams:
         if self.seal:
             data = self.seal.seal_packet(data)
         self._published, self._is_awaited = data, True
+        if self._socket is None:
+            return
         for address in self._receivers:
             with contextlib.suppress(OSError):  # a full buffer, no route or no listener: a lost packet
                 self._socket.sendto(data, address)
 
     def close(self) -> None:
         """Close the socket."""
-        self._socket.close()
+        if self._socket is not None:
+            self._socket.close()
 
 
 def packet_of_fleet(
@@ -219,7 +254,7 @@ def _resolve(endpoint: str) -> Address:
 
 MARK = 0xD5  # no wire version, so that a fleet with and without authentication is told apart
 KEY_BYTES, TAG_BYTES = 32, 8
-HEADER_BYTES = 3
+HEADER_BYTES, TAG_SPAN_BYTES = 3, 1 + TAG_BYTES
 
 
 class DatagramSeal:
@@ -228,45 +263,44 @@ class DatagramSeal:
     def __init__(self, own_id: int, fleet_ids: Collection[int]) -> None:
         self._own_id = own_id
         self.own_keys = {i: secrets.token_bytes(KEY_BYTES) for i in sorted(fleet_ids) if i != own_id}
-        self._keys: dict[int, bytes] = {}  # by sender
+        self._begun: dict[int, Any] = {}  # by sender, the hash with its key and id
 
     def learn(self, sender_id: int, key: bytes) -> None:
         """The key with which this sender makes its tags for this vehicle. Another length is no key."""
         if sender_id in self.own_keys and len(key) == KEY_BYTES:
-            self._keys[sender_id] = bytes(key)
+            self._begun[sender_id] = _begun_tag(key, sender_id)
 
     def forget(self, vehicle_id: int) -> None:
         """From now on neither receive from this vehicle nor make tags for it."""
         self.own_keys.pop(vehicle_id, None)
-        self._keys.pop(vehicle_id, None)
+        self._begun.pop(vehicle_id, None)
 
     def seal_packet(self, payload: bytes) -> bytes:
         """The datagram of a peer packet."""
-        signed = bytes((self._own_id,)) + payload
-        tags = [bytes((i,)) + _tag(key, signed) for i, key in self.own_keys.items()]
-        return b"".join((bytes((MARK, self._own_id, len(tags))), *tags, payload))
+        parts = [bytes((MARK, self._own_id, len(self.own_keys)))]
+        for receiver_id, key in self.own_keys.items():
+            tag = _begun_tag(key, self._own_id)
+            tag.update(payload)
+            parts += (bytes((receiver_id,)), tag.digest())
+        return b"".join((*parts, payload))
 
-    def open_packet(self, datagram: bytes) -> tuple[int, bytes] | Code:
-        """Sender and peer packet; for anything that this sender did not make for this vehicle the code of the rejection."""
+    def open_packet(self, datagram: bytes) -> tuple[int, bytes] | None:
+        """Sender and peer packet; None for anything that this sender did not make for this vehicle."""
         if len(datagram) < HEADER_BYTES or datagram[0] != MARK:
-            return Code.PEER_NOT_AUTHENTICATED
-        sender_id, count = datagram[1], datagram[2]
-        payload = datagram[HEADER_BYTES + count * (1 + TAG_BYTES) :]
-        key = self._keys.get(sender_id)
-        tag = self._own_tag(datagram, count)
-        if key is None or tag is None or not hmac.compare_digest(tag, _tag(key, bytes((sender_id,)) + payload)):
-            return Code.PEER_NOT_AUTHENTICATED
-        return sender_id, payload
-
-    def _own_tag(self, datagram: bytes, count: int) -> bytes | None:
-        for place in range(HEADER_BYTES, HEADER_BYTES + count * (1 + TAG_BYTES), 1 + TAG_BYTES):
-            if len(datagram) >= place + 1 + TAG_BYTES and datagram[place] == self._own_id:
-                return datagram[place + 1 : place + 1 + TAG_BYTES]
-        return None
+            return None
+        sender_id, end = datagram[1], HEADER_BYTES + datagram[2] * TAG_SPAN_BYTES
+        begun = self._begun.get(sender_id)
+        place = datagram[HEADER_BYTES:end:TAG_SPAN_BYTES].find(self._own_id)  # among the ids of the receivers
+        if begun is None or place < 0 or len(datagram) < end:
+            return None
+        at, payload, tag = HEADER_BYTES + place * TAG_SPAN_BYTES + 1, datagram[end:], begun.copy()
+        tag.update(payload)
+        return (sender_id, payload) if hmac.compare_digest(datagram[at : at + TAG_BYTES], tag.digest()) else None
 
 
-def _tag(key: bytes, content: bytes) -> bytes:
-    return hashlib.blake2s(content, key=key, digest_size=TAG_BYTES).digest()
+def _begun_tag(key: bytes, sender_id: int) -> Any:
+    """The hash of a tag, before the peer packet."""
+    return hashlib.blake2s(bytes((sender_id,)), key=key, digest_size=TAG_BYTES)
 
 
 PERIOD_S = 1.0  # a vehicle that restarts has all keys after this time

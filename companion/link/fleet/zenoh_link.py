@@ -139,16 +139,18 @@ class ZenohLink:
         aborts = self._receive_aborts()
         samples = drain(self._commands, COMMANDS_KEPT)
         commands = each(samples, lambda sample: self._command(sample, late), self._refuse(Code.COMMAND_MALFORMED))
-        return self._received(now_s, self._peers.receive()), (*aborts, *commands)
+        packets = _received(now_s, self._peers.receive())
+        if self._datagrams:
+            packets += self._datagrams.receive(now_s)
+        return self._judged(packets), (*aborts, *commands)
 
     def receive_late(self, now_s: float) -> tuple[ReceivedPeerPacket, ...]:
         """Peer packets since `receive`, a few of each vehicle: those of a flood wait for the next one. Never blocks."""
-        return self._received(now_s, self._peers.receive_late())
+        if self._datagrams:  # then peers send nothing over Zenoh, usually
+            return self._judged(self._datagrams.receive_late(now_s))
+        return self._judged(_received(now_s, self._peers.receive_late()))
 
-    def _received(self, now_s: float, over_zenoh: list[PeerPacket]) -> tuple[ReceivedPeerPacket, ...]:
-        received = tuple([ReceivedPeerPacket(now_s, packet) for packet in over_zenoh])
-        if self._datagrams:
-            received += self._datagrams.receive(now_s)
+    def _judged(self, received: tuple[ReceivedPeerPacket, ...]) -> tuple[ReceivedPeerPacket, ...]:
         return tuple(map(self._terms.judge, received)) if self._terms else received
 
     def targets(self, now_s: float) -> tuple[ReceivedTarget, ...]:
@@ -298,6 +300,10 @@ class ZenohLink:
             )
             return None
         return command
+
+
+def _received(now_s: float, packets: list[PeerPacket]) -> tuple[ReceivedPeerPacket, ...]:
+    return tuple([ReceivedPeerPacket(now_s, packet) for packet in packets])
 
 
 def _term_proofs(vehicle_id: int, fleet: FleetConfig, identity: Identity, reject: Callable[[str], None]) -> TermProofs:
