@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from ipaddress import IPv4Address, ip_network
 from pathlib import Path
 from typing import Literal
 
@@ -29,11 +30,13 @@ from companion.config.vehicle import load_agent, reaches_network
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import quoted
 
-ZENOH_PORT = 7447
+ZENOH_PORT, MULTICAST_PORT = 7447, 7446
+SEGMENT_BITS = 24  # addresses with so many equal bits are taken to be in one network segment
 ID_IN_PATTERN = re.compile(r"\{id(?:\+(\d{1,5}))?\}")
 LAND_AFTER_S = 60.0
 NEXT = """\
 wrote {files} in {folder}
+{states}
 next:
   1. In fleet.yaml check origin, fence and slots; in each vehicle file mavlink and hover_thrust_norm.
   2. companion analyze {folder}/fleet.yaml
@@ -49,6 +52,20 @@ OPEN = """\
      then:            systemctl enable --now companion@ID
   5. On the ground:   companion fleet use {folder}/fleet.yaml && companion monitor
 """
+
+
+class StatesWay(Struct, frozen=True):
+    """How the vehicles exchange their states: the multicast group, None for Zenoh, and why."""
+
+    multicast: str | None
+    why: str
+
+    @property
+    def line(self) -> str:
+        """Which way was chosen, and how to change it."""
+        if self.multicast:
+            return f"states: datagrams to {self.multicast}, as {self.why}; over Zenoh without multicast in fleet.yaml"
+        return f"states: over Zenoh, as {self.why}; multicast in fleet.yaml makes them datagrams (docs/transports.md)"
 
 
 class NewFleet(Struct, frozen=True, kw_only=True):
@@ -76,23 +93,45 @@ def new_fleet(new: NewFleet, folder: Path, problems_of: ProblemsOf) -> str:
     check_choices(new.formation, "companion init")
     addresses = _addresses(new)
     mavlink = _per_vehicle(new.mavlink, new.formation.vehicles, "--mavlink")
-    planned = with_addresses(planned_formation(new.formation, problems_of, new.origin), addresses, new.security)
+    way = states_way(addresses.values())
+    planned = _in_network(planned_formation(new.formation, problems_of, new.origin), addresses, new.security, way)
     secured = new.needs_identities(addresses)
     vehicles = {folder / f"vehicle-{i}.yaml": vehicle_text(new, planned, i, mavlink[i - 1], secured) for i in addresses}
-    texts = {folder / "fleet.yaml": fleet_text(new, planned)} | vehicles
+    texts = {folder / "fleet.yaml": fleet_text(new, planned, way)} | vehicles
     write_new(texts, check=lambda: [load_agent(path) for path in vehicles])
-    return _next_steps(folder, addresses, secured)
+    return _next_steps(folder, addresses, secured, way)
 
 
-def with_addresses(
-    planned: PlannedFormation, addresses: Mapping[int, str], security: Literal["none"] | None
+def states_way(addresses: Collection[str]) -> StatesWay:
+    """Datagrams where the addresses, HOST:PORT, are in one segment of a local network: nothing passes multicast on."""
+    hosts: list[IPv4Address] = []
+    for address in addresses:
+        name = address.rpartition(":")[0]
+        try:
+            hosts.append(IPv4Address(name))
+        except ValueError:
+            return StatesWay(None, f"{quoted(name)} is no IPv4 address")
+    if all(host.is_loopback for host in hosts):
+        return StatesWay(None, "all vehicles are on one computer")
+    segment = ip_network((hosts[0], SEGMENT_BITS), strict=False)
+    if not all(host in segment for host in hosts):
+        return StatesWay(None, f"not all addresses are in {segment}, that of vehicle 1")
+    if not segment.is_private:  # 100.64.0.0/10 of overlay networks is none either
+        return StatesWay(None, f"{segment} is no local network")
+    *_, third, last = hosts[0].packed  # a group of its own for each fleet of the segment
+    return StatesWay(f"239.255.{third}.{last}:{MULTICAST_PORT}", f"all addresses are in {segment}")
+
+
+def _in_network(
+    planned: PlannedFormation, addresses: Mapping[int, str], security: Literal["none"] | None, way: StatesWay
 ) -> PlannedFormation:
-    """The plan with the address of each vehicle, and its security."""
+    """The plan with the address of each vehicle, its security and the way of its states."""
     members = tuple(replace(member, address=addresses[member.id]) for member in planned.fleet.vehicles)
-    return replace(planned, fleet=replace(planned.fleet, vehicles=members, security=security))
+    fleet = replace(planned.fleet, vehicles=members, security=security, multicast=way.multicast)
+    return replace(planned, fleet=fleet)
 
 
-def fleet_text(new: NewFleet, planned: PlannedFormation) -> str:
+def fleet_text(new: NewFleet, planned: PlannedFormation, way: StatesWay) -> str:
     """The whole fleet file."""
     fleet = planned.fleet
     outdoors = new.origin != "indoor"
@@ -106,6 +145,8 @@ def fleet_text(new: NewFleet, planned: PlannedFormation) -> str:
         outdoors and add_comment("ground_spread_m: 3.0", "altitudes by GPS differ by a metre or two"),
         fleet.security
         and add_comment("security: none", "no identities: all who reach the network can command the fleet"),
+        way.multicast
+        and add_comment(f"multicast: {way.multicast}", f"states as datagrams: {way.why} (docs/transports.md)"),
         add_comment("vehicles:", slots),
         *vehicle_lines(fleet.vehicles),
         *settings_lines(planned, new.formation),
@@ -144,14 +185,14 @@ def _text_of(lines: Iterable[object]) -> str:
     return "".join(f"{line}\n" for line in lines if line)
 
 
-def _next_steps(folder: Path, addresses: Mapping[int, str], secured: bool) -> str:
+def _next_steps(folder: Path, addresses: Mapping[int, str], secured: bool, way: StatesWay) -> str:
     copies = "\n".join(
         f"     scp {folder / 'fleet.yaml'} {folder / f'vehicle-{i}.yaml'} {address.rpartition(':')[0]}:/etc/companion/"
         for i, address in addresses.items()
     )
     files = f"fleet.yaml and vehicle-1.yaml to vehicle-{len(addresses)}.yaml"
     then = (SECURED if secured else OPEN).format(folder=folder, copies=copies)
-    return NEXT.format(files=files, folder=folder, then=then)
+    return NEXT.format(files=files, folder=folder, states=way.line, then=then)
 
 
 def _addresses(new: NewFleet) -> dict[int, str]:

@@ -32,7 +32,8 @@ def vehicles(stack: ExitStack, hosts: PluggedHosts, folder: Path, where: str) ->
     shape = ["--vehicles", "2", "--origin", "indoor", "--security", "none", "--address", where]
     assert main(["init", str(folder), *shape]) == 0
     fleet = folder / "fleet.yaml"
-    fleet.write_text(fleet.read_text() + "multicast: 239.255.77.1:7446\n")
+    if "multicast" not in fleet.read_text():  # not the default, for vehicles with names
+        fleet.write_text(fleet.read_text() + "multicast: 239.255.77.1:7446\n")
     program = "tests.bench.programs.datagram_vehicle"
     return {
         i: Program(stack, [*hosts.inside(host), *module(program, str(folder / f"vehicle-{i}.yaml"))])

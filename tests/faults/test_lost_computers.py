@@ -6,6 +6,7 @@ to say to each other.
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import time
@@ -84,8 +85,8 @@ def write_files(folder: Path, settings: str) -> Files:
     security = ["--security", "none"] if open_fleet else []
     assert main(["init", str(folder), *shape, "--may-lead", "2", *place, *security]) == 0
     fleet = folder / "fleet.yaml"
-    if not open_fleet:
-        fleet.write_text(fleet.read_text() + settings)
+    over_zenoh = re.sub(r"^multicast:.*\n", "", fleet.read_text(), flags=re.MULTILINE)
+    fleet.write_text(over_zenoh + ("" if open_fleet else settings))
     vehicles, identities = {i: folder / f"vehicle-{i}.yaml" for i in IDS}, {}
     if not open_fleet:
         names = [parse_common_name(name) for name in ("monitor-laptop", "monitor-tablet")]

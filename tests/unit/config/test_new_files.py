@@ -134,6 +134,48 @@ def test_addresses_can_be_a_list(tmp_path: Path) -> None:
     assert agents[1].zenoh.connect == ("tls/drone-a.local:7447",)
 
 
+@pytest.mark.parametrize("security", [(), ("--security", "none")])
+def test_on_one_network_segment_states_are_datagrams(
+    security: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    agents = fleet_of(tmp_path, "--vehicles", "3", "--address", "10.0.7.{id+20}", *security)
+    assert {agent.fleet.multicast for agent in agents} == {"239.255.7.21:7446"}
+    assert [agent.datagrams and agent.datagrams.listen for agent in agents] == [
+        f"10.0.7.{i}:7446" for i in (21, 22, 23)
+    ]
+    (said,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("states: ")]
+    assert "239.255.7.21:7446, as all addresses are in 10.0.7.0/24; over Zenoh without multicast in fleet.yaml" in said
+    assert "# states as datagrams: all addresses are in 10.0.7.0/24" in (tmp_path / "fleet.yaml").read_text()
+
+
+def test_two_fleets_of_one_segment_do_not_share_a_group(tmp_path: Path) -> None:
+    fleets = [
+        fleet_of(tmp_path / host, "--vehicles", "2", "--address", f"10.0.7.{{id+{host}}}") for host in ("0", "10")
+    ]
+    assert len({agents[0].fleet.multicast for agents in fleets}) == 2
+
+
+@pytest.mark.parametrize(
+    ("addresses", "why"),
+    [
+        (["drone-{id}.local"], "'drone-1.local' is no IPv4 address"),
+        (["10.0.0.1", "10.0.0.02"], "'10.0.0.02' is no IPv4 address"),
+        (["10.0.0.1", "drone-b"], "'drone-b' is no IPv4 address"),
+        (["127.0.0.1:{id+7447}"], "all vehicles are on one computer"),
+        (["10.0.{id}.5"], "not all addresses are in 10.0.1.0/24, that of vehicle 1"),
+        (["127.0.0.1", "10.0.0.1"], "not all addresses are in 127.0.0.0/24, that of vehicle 1"),
+        (["8.8.8.{id}"], "8.8.8.0/24 is no local network"),
+        (["100.64.0.{id}"], "100.64.0.0/24 is no local network"),
+    ],
+)
+def test_elsewhere_states_go_over_zenoh(
+    addresses: list[str], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    agents = fleet_of(tmp_path, "--vehicles", "2", "--address", *addresses)
+    assert {agent.datagrams for agent in agents} == {None}
+    assert f"states: over Zenoh, as {why}; multicast in fleet.yaml" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("topology", TOPOLOGIES)
 def test_vehicle_files_load_for_every_shape_and_topology(shape: str, topology: str, tmp_path: Path) -> None:
