@@ -283,7 +283,7 @@ class VirtualAgent:
     @property
     def next_s(self) -> float:
         """When the next position or the timer of the ticks is due."""
-        return min(self.link.position_s, self._timer.at_s)
+        return self.link.position_s if self.link.position_s < self._timer.at_s else self._timer.at_s
 
     def go_on(self, now_s: float) -> None:
         """What is due at `next_s`: a tick, or the first part of one."""

@@ -132,6 +132,7 @@ class DirectLink:
         self._translator = Translator(autopilot.system_id, autopilot.kind)
         self._to_agent: deque[Telemetry] = deque()  # in the order of `received_s`
         self._positions_s: deque[float] = deque()  # when those among them arrive
+        self.position_s = inf  # when the next one does, which triggers a tick; infinite where none is on its way
         self.setpoint_s = -inf  # when the agent sent its last attitude target
         self._to_autopilot: deque[tuple[float, AttitudeSetpoint | bytes]] = deque()
 
@@ -161,6 +162,7 @@ class DirectLink:
             samples = SAMPLES[message_id](self.autopilot, received_s)
             if samples and message_id == M.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
                 self._positions_s.append(received_s)
+                self.position_s = self._positions_s[0]
                 if late_s := self._late_s(now_s, received_s):
                     samples = (replace(samples[0], late_s=late_s),)
             self._to_agent.extend(samples)
@@ -187,14 +189,10 @@ class DirectLink:
 
     # ------------------------------------------------------------ the agent's end
 
-    @property
-    def position_s(self) -> float:
-        """Arrival time of the next position, which triggers a tick; infinite where none is on its way."""
-        return self._positions_s[0] if self._positions_s else inf
-
     def take_position(self) -> None:
-        """That position has triggered its tick."""
+        """The next position has triggered its tick."""
         self._positions_s.popleft()
+        self.position_s = self._positions_s[0] if self._positions_s else inf
 
     def drain(self, now_s: float) -> tuple[Telemetry, ...]:
         """All telemetry that has arrived since the last call."""

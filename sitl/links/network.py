@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, insort
 from collections.abc import Iterable
-from heapq import heappop, heappush
 from random import Random
 
 from companion.core.consensus.neighbours import LOW_RATE_TICKS
@@ -42,7 +42,7 @@ class Path:
         if self.loses() or self.is_cut(now_s):
             return ()
         arrives_s = now_s + self.delay_s()
-        duplicates = self.links.peer_duplicates
+        duplicates = links.peer_duplicates
         if duplicates and self._random.random() < duplicates:
             return arrives_s, now_s + self.delay_s()
         return (arrives_s,)
@@ -53,6 +53,7 @@ class Network:
 
     def __init__(self, vehicle_ids: Iterable[int], links: Links, seed: int) -> None:
         ids = list(vehicle_ids)
+        # In the order of arrival; the number of the packet keeps those of one time in order.
         self._in_transit: dict[int, list[tuple[float, int, PeerPacket]]] = {i: [] for i in ids}
         self.paths = {i: [Path(i, j, links, seed) for j in ids if j != i] for i in ids}
         self.distant: dict[int, frozenset[int]] = {i: frozenset() for i in ids}  # of each receiver
@@ -72,8 +73,7 @@ class Network:
             if not at_low_rate and sender_id in self.distant[path.receiver]:
                 continue
             for arrives_s in path.arrivals_s(now_s):
-                # The number keeps packets of one time in order.
-                heappush(self._in_transit[path.receiver], (arrives_s, self._sent, packet))
+                insort(self._in_transit[path.receiver], (arrives_s, self._sent, packet))
 
     def set_low_rate_peers(self, vehicle_id: int, distant_ids: Iterable[int], now_s: float) -> None:
         """This vehicle subscribes to these peers at 5 Hz, and to all others at 50 Hz."""
@@ -81,8 +81,8 @@ class Network:
 
     def receive(self, vehicle_id: int, now_s: float) -> tuple[ReceivedPeerPacket, ...]:
         """Packets that arrived since the last call; as on board, their time of receipt is that of this call."""
-        waiting, packets = self._in_transit[vehicle_id], []
-        before_s = now_s - ROUNDING_S
-        while waiting and waiting[0][0] < before_s:
-            packets.append(ReceivedPeerPacket(now_s, heappop(waiting)[2]))
-        return tuple(packets)
+        waiting = self._in_transit[vehicle_id]
+        arrived = bisect_left(waiting, (now_s - ROUNDING_S,))
+        packets = tuple([ReceivedPeerPacket(now_s, packet) for _, _, packet in waiting[:arrived]])
+        del waiting[:arrived]
+        return packets

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, hypot, radians, sin
+from math import hypot, radians
 from random import Random
 
 from companion.geometry.frames import (
@@ -39,6 +39,7 @@ class Quadrotor:
         self.state = at_rest(file.start_enu_m, yaw)
         self._ground_z_m = file.start_enu_m[2]
         self.on_ground = True  # on the ground and not climbing
+        self._tilted = self._level = (0.0, 0.0, 0.0, 0.0)  # what the ground levelled last, and made of it
         self._control = AttitudeControl(loops, airframe.inertia_kg_m2, MOTORS_OFF, dt_s)
         self._gusts = Gusts(file.stand_in.wind, gust_noise, dt_s)
         sensors = file.stand_in.sensor_model()
@@ -158,8 +159,7 @@ class Quadrotor:
     def _at_rest(self, state: State, before: State) -> State:
         """Flat ground: it stops the fall, levels the vehicle, and holds one that was on the ground before against wind."""
         x, y, *_ = before if before[2] <= self._ground_z_m and before[5] <= 0.0 else state
-        _, _, yaw = euler_from_quaternion((state[6], state[7], state[8], state[9]))
-        half = yaw / 2.0
-        return (
-            x, y, self._ground_z_m, 0.0, 0.0, 0.0, cos(half), 0.0, 0.0, sin(half), 0.0, 0.0, 0.0, *state[THRUST:]
-        )  # fmt: skip
+        tilted = (state[6], state[7], state[8], state[9])
+        if tilted != self._tilted:  # at rest it is the same in every step
+            self._tilted, self._level = tilted, quaternion_from_euler(0.0, 0.0, euler_from_quaternion(tilted)[2])
+        return (x, y, self._ground_z_m, 0.0, 0.0, 0.0, *self._level, 0.0, 0.0, 0.0, *state[THRUST:])

@@ -99,32 +99,33 @@ def following(
     apart_s = received_s - sent_s
     if before is None:
         return Stream(session, sequence, ClockOffset(apart_s, received_s)), None
-    clock, rival = before.clock, before.rival
+    clock = before.clock
     silence_s = received_s - clock.received_s
     silent = silence_s > silent_s
     if session != before.session:
         if silent:
             return Stream(session, sequence, ClockOffset(apart_s, received_s)), None
         return before, Disorder.TWO_SENDERS
-    least_s = clock.least_apart_s + DRIFT * silence_s
+    least_s, support = clock.least_apart_s + DRIFT * silence_s, clock.support
     late_s = apart_s - least_s
     late, agrees = late_s > AGREES_S, -EARLY_S <= late_s <= silent_s
-    most = before.sequence + SEQUENCES_AHEAD + SEQUENCES_PER_S * silence_s
-    if agrees and not silent and not before.sequence < sequence <= most:
-        return before, Disorder.OUT_OF_ORDER
     if agrees:
+        most = before.sequence + SEQUENCES_AHEAD + SEQUENCES_PER_S * silence_s
+        if not silent and not before.sequence < sequence <= most:
+            return before, Disorder.OUT_OF_ORDER
         if late_s < 0.0:
-            most_s = STEP_S if clock.support > LATE_MESSAGES / 2 else EARLY_S
+            most_s = STEP_S if support > LATE_MESSAGES / 2 else EARLY_S
             step_s = -late_s if -late_s < most_s else most_s
             least_s, left = least_s - step_s, 1.0 - step_s / AGREES_S
-            support = clock.support * left + 1.0 if left > 0.0 else 1.0
-        else:
-            support = clock.support if late else clock.support + 1.0
+            support = support * left + 1.0 if left > 0.0 else 1.0
+        elif not late:
+            support += 1.0
         after = ClockOffset(least_s, received_s, support if support < LATE_MESSAGES else LATE_MESSAGES)
-        delay_s = apart_s - after.least_apart_s
+        delay_s = apart_s - least_s
         delay_s = delay_s if delay_s > 0.0 else 0.0  # not max(): it is slow, and every packet comes here
         if not late or clock.is_established:
-            return Stream(session, sequence, after, late_s=delay_s), None
+            return Stream(session, sequence, after, None, delay_s), None
+    rival = before.rival
     if rival and rival.agrees(apart_s, received_s, silent_s):
         rival = rival.with_rival_message(apart_s, received_s)
     else:

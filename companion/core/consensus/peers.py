@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from math import dist, hypot, inf, isfinite, pi
 
 from msgspec import Struct
@@ -98,34 +99,35 @@ def refusal_of_claims(packet: PeerPacket, fleet: KnownFleet) -> Code | None:
 
 def refusal_of_motion(packet: PeerPacket, limits: FleetLimits, known: FlownSlot | None) -> Code | None:
     """Checks position, velocity, acceleration, times, slot and position error. `known` is a slot that has passed before."""
-    motion = packet.motion
+    motion, slot, error, most = packet.motion, packet.slot, packet.position_error, MAX_COORDINATE_M
     x, y, z = motion.position_enu_m
     vx, vy, vz = motion.velocity_enu_m_s
-    ax, ay, az = motion.acceleration_enu_m_s2
-    numbers = x + y + z + vx + vy + vz + ax + ay + az + motion.state_age_s + motion.sent_s
-    if not isfinite(numbers):  # one number that is not finite makes the sum so
-        return Code.PEER_NOT_FINITE
-    most = MAX_COORDINATE_M
     if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
-        return Code.PEER_POSITION_IMPLAUSIBLE
-    if hypot(vx, vy, vz) > limits.speed_m_s:
-        return Code.PEER_SPEED_IMPLAUSIBLE
-    if hypot(ax, ay, az) > MAX_ACCELERATION_M_S2:
-        return Code.PEER_ACCELERATION_IMPLAUSIBLE
-    if not 0.0 <= motion.state_age_s <= MAX_STATE_AGE_S or not 0.0 <= motion.sent_s <= MAX_SENT_S:
-        return Code.PEER_TIME_IMPLAUSIBLE
-    slot = packet.slot
+        return _not_finite(motion) or Code.PEER_POSITION_IMPLAUSIBLE
+    if not hypot(vx, vy, vz) <= limits.speed_m_s:  # or not a number, here and below
+        return _not_finite(motion) or Code.PEER_SPEED_IMPLAUSIBLE
+    if not hypot(*motion.acceleration_enu_m_s2) <= MAX_ACCELERATION_M_S2:
+        return _not_finite(motion) or Code.PEER_ACCELERATION_IMPLAUSIBLE
+    if not (0.0 <= motion.state_age_s <= MAX_STATE_AGE_S and 0.0 <= motion.sent_s <= MAX_SENT_S):
+        return _not_finite(motion) or Code.PEER_TIME_IMPLAUSIBLE
     if slot != known and not _is_plausible_slot(slot, limits):
         return Code.PEER_SLOT_IMPLAUSIBLE
-    sx, sy, sz = slot.velocity_enu_m_s
-    if not hypot(vx - sx, vy - sy, vz - sz) <= limits.speed_m_s:  # too fast relative to the RFT, or NaN
-        return Code.PEER_SLOT_IMPLAUSIBLE
+    if slot.velocity_enu_m_s != ZERO3:
+        sx, sy, sz = slot.velocity_enu_m_s
+        if not hypot(vx - sx, vy - sy, vz - sz) <= limits.speed_m_s:  # too fast relative to the RFT
+            return Code.PEER_SLOT_IMPLAUSIBLE
     if packet.rft is not None and not _is_plausible_rft(packet.rft, limits):
         return Code.PEER_SLOT_IMPLAUSIBLE
-    error = packet.position_error
     if error and not (0.0 <= error.horizontal_m <= MAX_ERROR_M and 0.0 <= error.vertical_m <= MAX_ERROR_M):
         return Code.PEER_POSITION_ERROR_IMPLAUSIBLE
     return None
+
+
+def _not_finite(motion: Motion) -> Code | None:
+    """The refusal of a motion that was found implausible, if one of its numbers is not finite."""
+    vectors = (motion.position_enu_m, motion.velocity_enu_m_s, motion.acceleration_enu_m_s2)
+    numbers = (*chain(*vectors), motion.state_age_s, motion.sent_s)
+    return None if all(map(isfinite, numbers)) else Code.PEER_NOT_FINITE
 
 
 def _is_plausible_slot(slot: FlownSlot, limits: FleetLimits) -> bool:
