@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
-from ipaddress import IPv4Address
 from itertools import combinations
 from math import dist, hypot, inf
 from pathlib import Path
@@ -14,7 +12,7 @@ from msgspec.structs import replace
 from companion.config.file import convert, read_as, refuse
 from companion.config.fleet import EdgeNeighbours, FleetConfig, law_problems
 from companion.config.validation import INVALID, Problem, each, unless_invalid
-from companion.config.values import PositionM, Section, VehicleId
+from companion.config.values import PositionM, Section, VehicleId, is_multicast
 from companion.geometry.airspace import area_m2, crossing_sides
 from companion.geometry.formations import ROUNDING_M, to_separation_metric
 from companion.types.flight import Role
@@ -191,13 +189,9 @@ def _tilt_rate(fleet: FleetConfig, where: str) -> Iterator[Problem]:
 
 
 def _multicast(fleet: FleetConfig, where: str) -> Iterator[Problem]:
-    if fleet.multicast is None:
-        return
-    host = fleet.multicast.rpartition(":")[0]
-    with suppress(ValueError):
-        if IPv4Address(host).is_multicast:
-            return
-    yield Problem(where, f'"{host}" is no multicast group; expected one from 224.0.0.0 to 239.255.255.255')
+    if fleet.multicast is not None and not is_multicast(fleet.multicast):
+        host = fleet.multicast.rpartition(":")[0]
+        yield Problem(where, f'"{host}" is no multicast group; expected one from 224.0.0.0 to 239.255.255.255')
 
 
 def _battery(fleet: FleetConfig, where: str) -> Iterator[Problem]:

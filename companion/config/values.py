@@ -7,6 +7,8 @@ What a key means is written once, in the docstring of its section, from which th
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
+from ipaddress import IPv4Address
 from typing import Annotated, Any
 
 from msgspec import Meta, Struct
@@ -18,6 +20,13 @@ from companion.types.values import FLEET_NAME
 def written(pattern: str, words: str) -> Meta:
     """Texts of this pattern. `words` describe it in messages."""
     return Meta(pattern=pattern, extra={"format": words})
+
+
+def is_multicast(address: str) -> bool:
+    """Whether HOST:PORT is a group: it is joined on one network interface, and what is sent to it stays there."""
+    with suppress(ValueError):
+        return IPv4Address(address.rpartition(":")[0]).is_multicast
+    return False
 
 
 def about(description: str, **bounds: Any) -> Meta:

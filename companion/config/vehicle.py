@@ -19,7 +19,17 @@ from companion.config.fleet_check import load_fleet
 from companion.config.reference import Reference
 from companion.config.reference_check import reference_problems
 from companion.config.validation import Problem, each
-from companion.config.values import Drag, HoverThrust, NetworkAddress, Section, Text, VehicleId, about, written
+from companion.config.values import (
+    Drag,
+    HoverThrust,
+    NetworkAddress,
+    Section,
+    Text,
+    VehicleId,
+    about,
+    is_multicast,
+    written,
+)
 from companion.types.autopilot import AutopilotKind
 from companion.types.flight import Role
 
@@ -108,7 +118,8 @@ def network_problems(
                 yield Problem(f"zenoh.{kind}" if zenoh else "identity", f'"{endpoint}": {STRANGERS}')
     sent = datagrams or datagrams_of(fleet, vehicle_id)
     for address in (sent.listen, *sent.send_to) if sent else ():
-        if reaches_network(address):
+        on_loopback = sent is not None and not reaches_network(sent.listen) and is_multicast(address)
+        if reaches_network(address) and not on_loopback:
             yield Problem("datagrams" if datagrams else "identity", f'"{address}": {STRANGERS}')
 
 

@@ -19,7 +19,7 @@ from sitl.autopilots.types import AUTOPILOT_TYPES, hover_thrust_norm
 from sitl.flight.external import ReachedVehicle
 from sitl.flight.scenario import Scenario
 from sitl.links.emulated_network import NetworkFile, emulated_host
-from sitl.links.ports import LOOPBACK, ports_of, zenoh_endpoint
+from sitl.links.ports import LOOPBACK, ports_of, states_group, zenoh_endpoint
 from sitl.vehicle.config import AutopilotFile, Links
 
 ARMABLE_IN_SCENARIOS_S = 4.0
@@ -46,7 +46,7 @@ def write_files(
 ) -> None:
     """scenario.yaml as flown, fleet.yaml, vehicle_N.yaml, autopilot_N.yaml for stand-ins, network.yaml for disturbed links."""
     write_scenario(scenario, folder)
-    _write_yaml(folder / "fleet.yaml", _with_addresses(scenario.fleet, port_offset))
+    _write_yaml(folder / "fleet.yaml", _on_this_machine(scenario, port_offset))
     for vehicle_id in ids_of(scenario):
         reached = reached_stand_in(scenario, vehicle_id, port_offset) if external is None else external[vehicle_id]
         _write_yaml(folder / f"vehicle_{vehicle_id}.yaml", vehicle_file(scenario, reached, port_offset))
@@ -116,12 +116,15 @@ def vehicle_file(scenario: Scenario, reached: ReachedVehicle, port_offset: int) 
     )
 
 
-def _with_addresses(fleet: FleetConfig, port_offset: int) -> FleetConfig:
-    """The fleet with the address of each agent on this machine."""
+def _on_this_machine(scenario: Scenario, port_offset: int) -> FleetConfig:
+    """The fleet with the address of each agent, and with a multicast group for datagrams on undisturbed links."""
+    fleet, multicast = scenario.fleet, scenario.fleet.multicast
     members = [
         replace(member, address=f"{LOOPBACK}:{ports_of(member.id, port_offset).zenoh}") for member in fleet.vehicles
     ]
-    return replace(fleet, vehicles=tuple(members))
+    if multicast is None and scenario.links.peer_transport == "udp" and not scenario.links.disturb_peers:
+        multicast = states_group(ids_of(scenario), port_offset)
+    return replace(fleet, vehicles=tuple(members), multicast=multicast)
 
 
 def _zenoh_endpoints(scenario: Scenario, vehicle_id: int, port_offset: int) -> ZenohEndpoints | None:
@@ -136,17 +139,17 @@ def _zenoh_endpoints(scenario: Scenario, vehicle_id: int, port_offset: int) -> Z
 
 
 def _datagram_endpoints(scenario: Scenario, vehicle_id: int, port_offset: int) -> DatagramEndpoints | None:
-    if scenario.links.peer_transport == "tcp":
+    """None for the multicast of the fleet file, or for states over Zenoh; otherwise over the emulated network."""
+    if scenario.links.peer_transport == "tcp" or not scenario.links.disturb_peers:
         return None
     send_to = tuple(_peer_addresses(scenario, vehicle_id, port_offset).values())
     return DatagramEndpoints(listen=f"{LOOPBACK}:{ports_of(vehicle_id, port_offset).zenoh}", send_to=send_to)
 
 
 def _peer_addresses(scenario: Scenario, sending_id: int, port_offset: int) -> dict[int, str]:
-    """Of all other agents by id: directly, or over the emulated network where the links are disturbed."""
+    """Of all other agents by id, over the emulated network."""
     others = [i for i in ids_of(scenario) if i != sending_id]
-    hosts = {i: emulated_host(i, sending_id) if scenario.links.disturb_peers else LOOPBACK for i in others}
-    return {i: f"{host}:{ports_of(i, port_offset).zenoh}" for i, host in hosts.items()}
+    return {i: f"{emulated_host(i, sending_id)}:{ports_of(i, port_offset).zenoh}" for i in others}
 
 
 def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:

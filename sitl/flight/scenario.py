@@ -296,6 +296,7 @@ def _problems(file: ScenarioFile) -> Iterator[Problem]:
         _vehicles_named(scenario),
         parameter_problems(scenario.stand_in),
         flyable_problems(scenario.fleet, scenario.reference),
+        _transport(scenario),
         _target_names(scenario),
         _agent_ends(scenario),
         timeline_problems(scenario.fleet, scenario.timeline),
@@ -306,6 +307,13 @@ def _origin(scenario: Scenario) -> Iterator[Problem]:
     if scenario.fleet.origin == "indoor":
         problem = '"indoor" is for one motion-capture frame; stand-ins need latitude, longitude, altitude'
         yield Problem("fleet.origin", problem)
+
+
+def _transport(scenario: Scenario) -> Iterator[Problem]:
+    if scenario.links.peer_transport == "tcp" and scenario.fleet.multicast:
+        yield Problem(
+            "links.peer_transport", "tcp, but fleet.multicast sends states as datagrams; take one of them out"
+        )
 
 
 def _target_names(scenario: Scenario) -> Iterator[Problem]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 LOOPBACK = "127.0.0.1"
@@ -32,6 +33,11 @@ def ports_of(vehicle_id: int, offset: int = 0) -> Ports:
         tcp=5760 + 10 * (vehicle_id - 1) + offset,
         zenoh=7447 + vehicle_id + offset,
     )
+
+
+def states_group(vehicle_ids: Iterable[int], offset: int) -> str:
+    """Multicast group and port for the states of a fleet: a UDP port of its own, that of the agent with the lowest id."""
+    return f"239.255.77.1:{ports_of(min(vehicle_ids), offset).zenoh}"
 
 
 def zenoh_endpoint(vehicle_id: int, offset: int) -> str:

@@ -279,8 +279,8 @@ class Links(Section, frozen=True):
     peer_jitter_s: largest addition to that delay, uniformly distributed; above 0.02 s packets are reordered
     peer_loss: share of the packets between agents that are lost
     peer_duplicates: share of the packets between agents that arrive twice
-    peer_transport: how real processes exchange states: over Zenoh in TCP streams, or as UDP datagrams; `sitl run`
-        always loses and delays single packets, as with datagrams
+    peer_transport: how real processes exchange states: as UDP datagrams, by multicast on undisturbed links, or over
+        Zenoh in TCP streams; `sitl run` always loses and delays single packets, as with datagrams
     partitions: times in which vehicles receive nothing from each other
     late_telemetry: times in which telemetry takes longer than `telemetry_delay_s`; `sitl run` only
     """
@@ -291,7 +291,7 @@ class Links(Section, frozen=True):
     peer_jitter_s: DelaySeconds = 0.0
     peer_loss: Share = 0.0
     peer_duplicates: Share = 0.0
-    peer_transport: Literal["tcp", "udp"] = "tcp"
+    peer_transport: Literal["tcp", "udp"] = "udp"
     partitions: tuple[Partition, ...] = ()
     late_telemetry: tuple[LateTelemetry, ...] = ()
 

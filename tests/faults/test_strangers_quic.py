@@ -37,7 +37,7 @@ RECORDED = 200
 @pytest.fixture(scope="module")
 def flying(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Undisturbed]:
     multicast = f"{GROUP}:{free_port(socket.SOCK_DGRAM)}"
-    overrides = ("fleet.transport=quic", f"fleet.multicast={multicast}")
+    overrides = ("fleet.transport=quic", "links.peer_transport=udp", f"fleet.multicast={multicast}")
     with secured_fleet(tmp_path_factory.mktemp("quic"), *overrides) as fleet:
         yield Undisturbed.of(fleet)
 

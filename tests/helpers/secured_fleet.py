@@ -147,6 +147,7 @@ OVERRIDES = (
     "fleet.law.name=cooperative",
     "fleet.takeoff_height_m=2.0",
     "stand_in.armable_after_s=1",
+    "links.peer_transport=tcp",  # what is attacked is Zenoh
     "fleet.separation_m=1.0",
     "reference={kind: circle, centre_enu_m: [-6.0, 0.0, 2.0], radius_m: 6.0, period_s: 30.0}",
 )

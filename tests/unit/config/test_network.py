@@ -65,6 +65,8 @@ def test_quic_needs_an_identity_also_on_this_machine(tmp_path: Path) -> None:
         'zenoh: {connect: ["tcp/10.0.0.9:7447#iface=eth0"]}\n',
         'datagrams: {listen: "0.0.0.0:7447", send_to: ["127.0.0.1:7448"]}\n',
         'datagrams: {listen: "127.0.0.1:7447", send_to: ["10.0.0.255:7447"]}\n',
+        'datagrams: {listen: "10.0.0.9:7447", send_to: ["239.255.77.1:7447"]}\n',
+        'datagrams: {listen: "127.0.0.1:7447", send_to: ["239.255.77.1.example.org:7447"]}\n',
     ],
 )
 def test_endpoints_of_the_vehicle_file_count_too(tmp_path: Path, section: str) -> None:
@@ -88,7 +90,13 @@ def test_multicast_goes_out_where_the_vehicle_has_its_address(tmp_path: Path) ->
     assert loaded.datagrams is not None
     assert (loaded.datagrams.listen, loaded.datagrams.send_to) == ("10.0.0.9:7446", ("239.255.77.1:7446",))
     with pytest.raises(ConfigError, match=NEEDED):
-        agent(tmp_path, "127.0.0.1", fleet="multicast: 239.255.77.1:7446\n")
+        agent(tmp_path, fleet="multicast: 239.255.77.1:7446\n")
+
+
+def test_multicast_on_loopback_stays_on_this_machine(tmp_path: Path) -> None:
+    loaded = agent(tmp_path, "127.0.0.1", fleet="multicast: 239.255.77.1:7446\n")
+    assert loaded.datagrams is not None
+    assert (loaded.datagrams.listen, loaded.datagrams.send_to) == ("127.0.0.1:7446", ("239.255.77.1:7446",))
 
 
 @pytest.mark.parametrize("group", ["10.0.0.9:7446", "fleet.local:7446", "255.255.255.255:7446"])

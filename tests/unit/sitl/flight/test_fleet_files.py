@@ -32,7 +32,7 @@ def test_vehicle_files_load_and_share_the_fleet(scenario: Scenario, tmp_path: Pa
         addresses = [member.address for member in config.fleet.vehicles]
         assert addresses == [f"127.0.0.1:{ports_of(i, 50).zenoh}" for i in (1, 2, 3, 4)]
         members = tuple(replace(member, address=None) for member in config.fleet.vehicles)
-        assert replace(config.fleet, vehicles=members) == scenario.fleet
+        assert replace(config.fleet, vehicles=members, multicast=None) == scenario.fleet
     assert len({config.fleet.formation_hash() for config in configs}) == 1
     assert all(config.vehicle.hover_thrust_norm == 0.4 for config in configs)
 
@@ -53,24 +53,41 @@ def test_every_pair_of_agents_has_one_connection(scenario: Scenario, tmp_path: P
                 assert (own.listen[0] in other.connect) != (other.listen[0] in own.connect)
 
 
-def test_datagrams_go_from_every_agent_to_every_other() -> None:
-    scenario = load_scenario(PLATOON, ["links.peer_transport=udp"])
-    files = {i: vehicle_file(scenario, reached_stand_in(scenario, i, 50), 50).datagrams for i in ids_of(scenario)}
-    listening = {i: file.listen for i, file in files.items() if file}
-    assert listening == {i: f"127.0.0.1:{ports_of(i, 50).zenoh}" for i in ids_of(scenario)}
-    for i, file in files.items():
-        assert file is not None
-        assert set(file.send_to) == set(listening.values()) - {listening[i]}
+def test_states_are_datagrams_to_a_group_of_the_fleet(scenario: Scenario, tmp_path: Path) -> None:
+    """Its port is one of those that the fleet has reserved."""
+    for i in ids_of(scenario):
+        datagrams = load_agent(tmp_path / f"vehicle_{i}.yaml").datagrams
+        assert datagrams is not None
+        port = ports_of(1, 50).zenoh
+        assert (datagrams.listen, datagrams.send_to) == (f"127.0.0.1:{port}", (f"239.255.77.1:{port}",))
 
 
-def test_disturbed_links_lead_over_the_emulated_network(tmp_path: Path) -> None:
-    scenario = load_scenario(PLATOON, ["links.peer_transport=udp", "links.peer_loss=0.1", "stand_in.seed=3"])
+@pytest.mark.parametrize(
+    ("overrides", "multicast"),
+    [(["links.peer_transport=tcp"], None), (["fleet.multicast=239.255.77.9:7446"], "239.255.77.9:7446")],
+)
+def test_a_transport_that_a_scenario_names_is_kept(overrides: list[str], multicast: str | None, tmp_path: Path) -> None:
+    write_files(load_scenario(PLATOON, overrides), tmp_path, 50)
+    agent = load_agent(tmp_path / "vehicle_3.yaml")
+    assert (agent.fleet.multicast, agent.vehicle.datagrams) == (multicast, None)
+
+
+def test_two_ways_for_the_states_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"links\.peer_transport: tcp, but fleet\.multicast"):
+        load_scenario(PLATOON, ["links.peer_transport=tcp", "fleet.multicast=239.255.77.9:7446"])
+
+
+@pytest.mark.parametrize("multicast", [(), ("fleet.multicast=239.255.77.9:7446",)])
+def test_disturbed_links_lead_over_the_emulated_network(tmp_path: Path, multicast: tuple[str, ...]) -> None:
+    """Also those of a fleet with multicast, which would pass it by."""
+    scenario = load_scenario(PLATOON, ["links.peer_loss=0.1", "stand_in.seed=3", *multicast])
     write_files(scenario, tmp_path, 50)
     vehicle = load_agent(tmp_path / "vehicle_3.yaml").vehicle
     port_1, port_2, port_4 = (ports_of(i, 50).zenoh for i in (1, 2, 4))
     assert vehicle.zenoh is not None
     assert vehicle.zenoh.connect == (f"tcp/127.1.1.3:{port_1}", f"tcp/127.1.2.3:{port_2}")
     assert vehicle.datagrams is not None
+    assert vehicle.datagrams.listen == f"127.0.0.1:{ports_of(3, 50).zenoh}"
     assert vehicle.datagrams.send_to == (f"127.1.1.3:{port_1}", f"127.1.2.3:{port_2}", f"127.1.4.3:{port_4}")
     network = load(network_path(tmp_path), NetworkFile)
     assert (network.vehicles, network.seed, network.port_offset) == ((1, 2, 3, 4), 3, 50)
