@@ -166,6 +166,19 @@ def test_a_packet_that_arrives_between_the_parts_of_a_tick_is_received_once_with
         assert sequences == sorted(set(sequences))
 
 
+def test_after_a_pause_between_the_parts_the_newest_packets_are_received(port: int) -> None:
+    with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:
+        until(lambda: second.packets, each=lambda: (first.link.publish_peer(PACKET), second.tick()))
+        prepared_s = time.monotonic()
+        second.link.receive(prepared_s)
+        last = PACKET.sender.sequence + 20
+        for sequence in range(PACKET.sender.sequence + 1, last + 1):
+            first.link.publish_peer(with_fields(PACKET, sequence=sequence))
+        time.sleep(0.5)
+        received = second.link.receive_late(prepared_s + 0.5)
+        assert received[-1].packet.sender.sequence == last
+
+
 def test_a_peer_that_starts_late_is_received_without_a_restart(port: int) -> None:
     with vehicle(2, connect=(endpoint(port),)) as second:
         for _ in range(50):

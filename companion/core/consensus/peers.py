@@ -169,6 +169,8 @@ EXTRAPOLATED_NEAR_LEADER_S, NEAR_LEADER_PRC = 0.08, 3
 DISTANT_MAX_AGE_S = 1.0  # for a peer received at 5 Hz: four lost packets and the usual delay
 FULL_RATE_WITHIN_S = 0.5  # after such a peer is to be received at 50 Hz, its first packets have arrived
 LOST_AFTER_S = 2.0  # silent for longer than a distant peer may be
+HEARSAY_S = 10.0  # a hundred hops of 0.1 s
+ROUNDING_S = 1e-6  # of sums of times
 JUMP_MARGIN_M = 1.0  # an estimator correction may add this to the distance flown between two packets
 
 
@@ -333,12 +335,17 @@ class PeerTable:
     def _hear_of(self, lost: Iterable[LostVehicle], received_s: float) -> None:
         """Take the silent vehicles that this one never heard itself: its agent may have started after they fell silent.
 
-        They are kept off. Their own first packet replaces what others said of them.
+        They are kept off. Their own first packet replaces what others said of them, and so does a word that is younger by
+        HEARSAY_S: who lost contact earlier knows less. By less it is the same news over another way, and a few that tell each
+        other would keep it young for ever.
         """
         fleet, limits = self._fleet, self._limits
         for one in lost:
             i, speed_m_s = one.vehicle_id, hypot(*one.velocity_enu_m_s)
-            if i in self.known or i == fleet.own_id or i not in fleet.may_lead:
+            if i in self._streams or i == fleet.own_id or i not in fleet.may_lead:
+                continue
+            before = self.known.get(i)
+            if before is not None and received_s - one.age_s < before.measured_s + HEARSAY_S:
                 continue
             if one.age_s < LOST_AFTER_S or not speed_m_s <= limits.speed_m_s:  # or not finite
                 continue
@@ -353,10 +360,11 @@ class PeerTable:
             self.known[i] = PeerState(packet, received_s, 0.0, received_s - one.age_s)
 
     def lost(self, now_s: float) -> tuple[LostVehicle, ...]:
-        """The vehicles that were armed when they fell silent, those of the last FORGOTTEN_S."""
+        """The vehicles that were armed when they fell silent, those of the last FORGOTTEN_S; first those heard itself."""
         ages_s = {i: now_s - p.measured_s for i, p in self.known.items() if p.packet.armed}
-        silent = sorted((age_s, i) for i, age_s in ages_s.items() if LOST_AFTER_S < age_s < FORGOTTEN_S)
-        motions = [(i, age_s, self.known[i].packet.motion) for age_s, i in silent[:MOST_LOST]]
+        heard = self._streams
+        silent = sorted((i not in heard, age_s, i) for i, age_s in ages_s.items() if LOST_AFTER_S < age_s < FORGOTTEN_S)
+        motions = [(i, age_s, self.known[i].packet.motion) for _, age_s, i in silent[:MOST_LOST]]
         return tuple([LostVehicle(i, m.position_enu_m, m.velocity_enu_m_s, age_s) for i, age_s, m in motions])
 
     def in_time(self, now_s: float) -> tuple[dict[int, PeerState], dict[int, PeerState]]:
@@ -383,10 +391,10 @@ class PeerTable:
         """How long all of this is found again without a further packet; -inf where a vehicle is silent, whose age counts."""
         if len(present) < len(self.known):
             return -inf
-        until_s = self._max_age_s + min([peer.measured_s for peer in fresh.values()], default=inf)
+        until_s = self._max_age_s - ROUNDING_S + min([peer.measured_s for peer in fresh.values()], default=inf)
         if present is fresh:
             return until_s
-        at_5_hz = [peer.measured_s + self._age_limit_s(i) for i, peer in present.items() if i not in fresh]
+        at_5_hz = [peer.measured_s + self._age_limit_s(i) - ROUNDING_S for i, peer in present.items() if i not in fresh]
         return min([until_s, *at_5_hz])
 
     def in_doubt(self, now_s: float) -> tuple[int, ...]:

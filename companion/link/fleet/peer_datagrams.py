@@ -43,7 +43,7 @@ LATE_PER_VEHICLE = 2  # likewise where a setpoint waits; the rest of a flood wai
 # a tick more of them are read than arrive at 20,000 a second, and none waits before those of the fleet.
 READ_WITH_SEAL = 512
 BUFFER_BYTES = 1 << 20
-LONGEST_BYTES, BYTES_PER_VEHICLE = 600, 40  # largest peer packet: a fixed part, and slots in a formation change
+LONGEST_BYTES, BYTES_PER_VEHICLE = 1200, 40  # largest peer packet: a fixed part, and slots in a formation change
 IP_MULTICAST_ALL = 49  # of Linux; the socket module does not name it
 SAME_NETWORK = 1  # time to live of multicast: no router passes it on
 DEAF_AFTER_S = 1.0  # without an own datagram, which comes back at once

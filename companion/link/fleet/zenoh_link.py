@@ -139,13 +139,21 @@ class ZenohLink:
         aborts = self._receive_aborts()
         samples = drain(self._commands, COMMANDS_KEPT)
         commands = each(samples, lambda sample: self._command(sample, late), self._refuse(Code.COMMAND_MALFORMED))
+        return self._all_packets(now_s), (*aborts, *commands)
+
+    def _all_packets(self, now_s: float) -> tuple[ReceivedPeerPacket, ...]:
         packets = _received(now_s, self._peers.receive())
         if self._datagrams:
             packets += self._datagrams.receive(now_s)
-        return self._judged(packets), (*aborts, *commands)
+        return self._judged(packets)
 
     def receive_late(self, now_s: float) -> tuple[ReceivedPeerPacket, ...]:
-        """Peer packets since `receive`, a few of each vehicle: those of a flood wait for the next one. Never blocks."""
+        """Peer packets since `receive`, a few of each vehicle: those of a flood wait for the next one. Never blocks.
+
+        After a pause of this process the first ones are too old, so it is all of them.
+        """
+        if self._drained_s is not None and now_s - self._drained_s > LONG_PAUSE_S:
+            return self._all_packets(now_s)
         if self._datagrams:  # then peers send nothing over Zenoh, usually
             return self._judged(self._datagrams.receive_late(now_s))
         return self._judged(_received(now_s, self._peers.receive_late()))

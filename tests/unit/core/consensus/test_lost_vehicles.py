@@ -104,7 +104,7 @@ def test_nobody_speaks_for_a_vehicle_that_was_heard_itself() -> None:
     assert peers.known[4] is before
 
 
-def test_later_hearsay_changes_nothing_and_its_own_packet_replaces_it() -> None:
+def test_the_same_news_again_changes_nothing_and_its_own_packet_replaces_it() -> None:
     peers = told(3, DEAD)
     again = with_fields(PACKET, sequence=2, sent_s=100.02, lost=(replace(DEAD, position_enu_m=(0.0, 0.0, 0.0)),))
     peers.fold([ReceivedPeerPacket(100.02, again)], 8)
@@ -113,3 +113,33 @@ def test_later_hearsay_changes_nothing_and_its_own_packet_replaces_it() -> None:
     peers.fold([ReceivedPeerPacket(100.1, own)], 8)
     assert peers.known[4].packet is own
     assert 4 in peers.in_time(100.1)[0]
+
+
+def test_who_lost_contact_early_does_not_hide_where_others_heard_it_last() -> None:
+    early = replace(DEAD, position_enu_m=(900.0, 0.0, 0.0), age_s=FORGOTTEN_S - 0.1)
+    peers = told(3, early)
+    witness = with_fields(PACKET, vehicle_id=5, sent_s=100.02, lost=(DEAD,))
+    peers.fold([ReceivedPeerPacket(100.02, witness)], 8)
+    assert peers.known[4].packet.motion.position_enu_m == DEAD.position_enu_m
+    assert peers.lost(101.0)[0].vehicle_id == 4
+
+
+def test_some_that_tell_each_other_keep_no_news_young() -> None:
+    """Each hop adds its delay to the time of the state, as the age counts from its sending."""
+    ring = [told(i, DEAD) if i == 3 else table(i) for i in (3, 5)]
+    for step in range(1, 400):
+        teller, listener = ring[step % 2], ring[(step + 1) % 2]
+        now_s, sender = 100.0 + 0.1 * step, (3, 5)[step % 2]
+        packet = with_fields(
+            PACKET, vehicle_id=sender, sequence=step, sent_s=now_s - 0.1, lost=teller.lost(now_s - 0.1)
+        )
+        listener.fold([ReceivedPeerPacket(now_s, packet)], 8)
+    assert max(peers.known[4].measured_s for peers in ring) < 100.0 - DEAD.age_s + 0.3
+
+
+def test_invented_vehicles_do_not_displace_one_that_was_heard() -> None:
+    peers = table(3)
+    peers.fold([packet_of(4)], 8)
+    invented = tuple(replace(DEAD, vehicle_id=i, age_s=2.0) for i in range(10, 10 + MOST_LOST))
+    peers.fold([ReceivedPeerPacket(150.0, with_fields(PACKET, sent_s=150.0, lost=invented))], 8)
+    assert 4 in [one.vehicle_id for one in peers.lost(160.0)]

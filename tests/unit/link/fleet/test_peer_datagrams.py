@@ -28,7 +28,7 @@ from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code
-from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
+from companion.types.peers import MOST_LOST, LeaderReport, LostVehicle, Motion, PeerPacket, Sender, TermProof
 from companion.types.values import MAX_NUMBER, MAX_VEHICLES, ZERO3
 from companion.wire.messages import encode_peer
 from processes import free_port
@@ -176,6 +176,7 @@ def longest_packet(vehicles: int) -> PeerPacket:
         leader=LeaderReport(
             MAX_VEHICLES,
             LeaderBeacon(MAX_VEHICLES, number, number, 1.0 / 3, number, Heading(1.0 / 3, 1.0 / 3, 1.0 / 3)),
+            TermProof(number, bytes(64)),
         ),
         slot=FlownSlot(*motion, number, number, 1.0 / 3),
         position_error=PositionError(1.0 / 3, 1.0 / 3),
@@ -183,6 +184,8 @@ def longest_packet(vehicles: int) -> PeerPacket:
         change=FormationChange(number, tuple((i, motion[0]) for i in ids), 1.0 / 3, 1.0 / 3, tuple(ids)),
         armed=True,
         rft=motion,
+        home_enu_m=(1e3 / 3, 1e3 / 3),
+        lost=tuple(LostVehicle(MAX_VEHICLES, motion[0], motion[0], 1e3 / 3) for _ in range(MOST_LOST)),
     )
 
 
