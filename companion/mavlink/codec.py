@@ -90,7 +90,7 @@ UNKNOWN: int = mavlink.MAVLINK_MSG_ID_UNKNOWN  # id of a message that no dialect
 # After the magic: length, flags, system, component, and the id of 24 bits
 _HEADER_2 = struct.Struct("<xBBxxBBHB")
 _HEADER_1 = struct.Struct("<xBxBBB")
-_SENT_HEADER = struct.Struct("<BBBBBBHB")  # as 2, with flags of both kinds and the sequence
+_SENT_HEADER = struct.Struct("<BBBBBBHB")  # length, flags of both kinds, sequence, system, component, and the id
 _CHECKSUM_EXTRAS = {id_: bytes((kind.crc_extra,)) for id_, kind in mavlink.mavlink_map.items()}
 _UNPACKERS: dict[int, struct.Struct] = {id_: kind.unpacker for id_, kind in mavlink.mavlink_map.items()}
 

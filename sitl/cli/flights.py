@@ -106,9 +106,9 @@ def _run_run(parsed: argparse.Namespace) -> int:
 
 
 def _run_fly(parsed: argparse.Namespace) -> int:
-    """Fly a scenario with real processes: one stand-in autopilot and one agent per vehicle, MAVLink between them, Zenoh between
-    the agents. Shows every vehicle live, lands, and leaves a folder with figures, plots, files and logs. With --external the
-    agents fly external autopilots, like PX4's and ArduPilot's own simulations.
+    """Fly a scenario with real processes: one stand-in autopilot and one agent per vehicle, MAVLink between them, datagrams
+    and Zenoh between the agents. Shows every vehicle live, lands, and leaves a folder with figures, plots, files and logs. With
+    --external the agents fly external autopilots, like PX4's and ArduPilot's own simulations.
 
     examples:
       sitl fly config/scenarios/platoon.yaml                        the paper's platoon with the paper's law

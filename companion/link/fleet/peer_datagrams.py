@@ -44,7 +44,9 @@ LATE_PER_VEHICLE = 2  # likewise where a setpoint waits; the rest of a flood wai
 READ_WITH_SEAL = 512
 BUFFER_BYTES = 1 << 20
 LONGEST_BYTES, BYTES_PER_VEHICLE = 1200, 40  # largest peer packet: a fixed part, and slots in a formation change
-IP_MULTICAST_ALL = 49  # of Linux; the socket module does not name it
+# Linux; missing in the socket module. Where it is off, nothing is received from an interface on which only another program of
+# this computer has joined the group: a fleet on loopback hears nobody in the network.
+IP_MULTICAST_ALL = 49
 SAME_NETWORK = 1  # time to live of multicast: no router passes it on
 DEAF_AFTER_S = 1.0  # without an own datagram, which comes back at once
 JOIN_AGAIN_S = 0.5  # between two tries
@@ -213,9 +215,7 @@ def _open_socket(address: Address, group: str | None) -> socket.socket:
             opened.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + own)
             opened.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, own)
             with contextlib.suppress(OSError):  # not Linux
-                opened.setsockopt(
-                    socket.IPPROTO_IP, IP_MULTICAST_ALL, 0
-                )  # nor what others of this computer have joined
+                opened.setsockopt(socket.IPPROTO_IP, IP_MULTICAST_ALL, 0)
         opened.bind((group or address[0], address[1]))  # to the group: nothing else that comes to this port
     except OSError as error:
         opened.close()

@@ -129,6 +129,26 @@ def test_an_agent_starts_before_its_network(caplog: pytest.LogCaptureFixture) ->
     assert "192.0.2.1: nothing is sent or received: this machine has no network interface" in record.getMessage()
 
 
+def test_a_group_on_loopback_hears_nothing_from_the_network() -> None:
+    """Another program of this computer has joined the same group on a network interface."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # sends nothing
+        except OSError:
+            pytest.skip("no network interface beside loopback")
+        own = socket.inet_aton(probe.getsockname()[0])
+    group, port = "239.255.77.9", free_port(socket.SOCK_DGRAM)
+    with (
+        link(f"127.0.0.1:{port}", f"{group}:{port}") as on_loopback,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+    ):
+        other.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + own)
+        other.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, own)
+        other.sendto(encode_peer(PACKET), (group, port))
+        time.sleep(0.05)
+        assert received(on_loopback) == []
+
+
 def test_another_error_of_a_group_is_refused() -> None:
     group = f"239.255.77.9:{free_port(socket.SOCK_DGRAM)}"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:  # that does not share its port
