@@ -126,10 +126,6 @@ def _take_one_core() -> None:
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
 
-if __name__ == "__main__":
-    sys.exit(main())
-
-
 Step = Callable[[], None]
 LEAN = np.array([0.9990482, 0.0, 0.0436194, 0.0])  # quaternion of a pitch of 5 degrees, w x y z
 
@@ -193,3 +189,7 @@ def _at_rest(torch: Any, quad_params: dict[str, Any], count: int) -> dict[str, A
     state["q"] = torch.tensor([0.0, 0.0, 0.0, 1.0]).double().repeat(count, 1)
     state["rotor_speeds"] = torch.full((count, 4), hover_rad_s).double()
     return state
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+
 import pytest
 
 from tests.bench import budgets
@@ -43,6 +45,15 @@ def test_tightening_never_raises_a_budget() -> None:
         "total of code_lines: 101, budget 100",
         "repeated_class_names of Line: 2, budget 0",
     ]
+
+
+@pytest.mark.parametrize("folder", [*budgets.PROGRAMS, *budgets.LABORATORY])
+def test_a_program_begins_when_its_whole_module_is_read(folder: str) -> None:
+    """What stands behind the call of `main` is not defined yet."""
+    for path in (budgets.TOP / folder).rglob("*.py"):
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        begins = [at for at, node in enumerate(body, start=1) if ast.unparse(node).startswith("if __name__ ==")]
+        assert begins in ([], [len(body)]), path
 
 
 MODULE = '''"""Two
