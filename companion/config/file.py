@@ -32,18 +32,23 @@ def read_regular(path: Path, most_bytes: int = MAX_BYTES) -> tuple[bytes, os.sta
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
-        state = os.fstat(descriptor)
-        if stat.S_ISDIR(state.st_mode):
-            raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
-        if not stat.S_ISREG(state.st_mode):
-            raise OSError(errno.EINVAL, "not a regular file")
-        content = b""
-        while len(content) <= most_bytes and (chunk := os.read(descriptor, most_bytes + 1 - len(content))):
-            content += chunk
-        if len(content) > most_bytes:
-            raise OSError(errno.EFBIG, f"larger than {most_bytes // 1024} kB")
+        return read_descriptor(descriptor, most_bytes)
     finally:
         os.close(descriptor)
+
+
+def read_descriptor(descriptor: int, most_bytes: int = MAX_BYTES) -> tuple[bytes, os.stat_result]:
+    """`read_regular` of a file that is open."""
+    state = os.fstat(descriptor)
+    if stat.S_ISDIR(state.st_mode):
+        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(state.st_mode):
+        raise OSError(errno.EINVAL, "not a regular file")
+    content = b""
+    while len(content) <= most_bytes and (chunk := os.read(descriptor, most_bytes + 1 - len(content))):
+        content += chunk
+    if len(content) > most_bytes:
+        raise OSError(errno.EFBIG, f"larger than {most_bytes // 1024} kB")
     return content, state
 
 

@@ -1,0 +1,100 @@
+"""A Python file that a configuration file names: code that runs in the agent, so it is read with more care than a value.
+
+It must be in the folder of the file that names it, and neither may be writable by anyone but the user of this process and root:
+who can write one of them could already change the configuration, and nobody else gains anything. Both are opened once, and what
+was checked is what runs. The code imports what is installed and no file beside it, so its SHA-256 stands for all of it.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from traceback import extract_tb
+from types import ModuleType
+from typing import Any
+
+from companion.config.file import ConfigError, read_descriptor
+from companion.types.values import cut, quoted
+
+WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+LONGEST_ERROR = 200
+
+
+@dataclass(frozen=True, slots=True)
+class CodeFile:
+    """The names that the file defines, and the SHA-256 of its content, hexadecimal."""
+
+    namespace: Mapping[str, Any]
+    sha256: str
+
+
+def load_code(path: Path, beside: Path) -> CodeFile:
+    """Run a Python file once. `beside` is the configuration file that names it; a relative path starts there.
+
+    Raises ConfigError where the file must not be run, and where it does not run.
+    """
+    file = beside.parent / path
+    source = read_beside(path, beside)
+    from hashlib import sha256  # here: see `formation_hash` in fleet.py
+
+    digest = sha256(source).hexdigest()
+    module = ModuleType(f"companion_code_{digest}")
+    module.__file__ = str(file)
+    sys.modules[module.__name__] = module  # where dataclasses and pickle look for what it defines
+    try:
+        exec(compile(source, str(file), "exec", dont_inherit=True), module.__dict__)
+    except (Exception, SystemExit) as error:
+        del sys.modules[module.__name__]
+        raise code_error(file, error) from error
+    return CodeFile(module.__dict__, digest)
+
+
+def read_beside(path: Path, beside: Path) -> bytes:
+    """The content of a file in the folder of the file `beside`, after all checks of both. Raises ConfigError."""
+    folder, file = beside.parent, beside.parent / path
+    with suppress(OSError, RuntimeError, ValueError):  # what is wrong with the path shows when it is opened
+        if file.parent.resolve() != folder.resolve():
+            raise ConfigError(beside, "", f"names {quoted(str(path))}; expected a file in its own folder, {folder}")
+    try:
+        inside = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            _refuse_foreign(folder, os.fstat(inside))
+            descriptor = os.open(path.name, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=inside)
+            try:
+                content, state = read_descriptor(descriptor)
+            finally:
+                os.close(descriptor)
+        finally:
+            os.close(inside)
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
+        reason = error.strerror if isinstance(error, OSError) else "a zero byte in its name"
+        raise ConfigError(file, "", f"cannot be read: {reason}; check the path, which may be no link") from error
+    _refuse_foreign(file, state)
+    return content
+
+
+def code_error(file: Path, error: BaseException) -> ConfigError:
+    """The line for an exception that this file has raised; it names the line of the file."""
+    if isinstance(error, SyntaxError):
+        line = error.lineno
+    else:
+        line = next(
+            (frame.lineno for frame in reversed(extract_tb(error.__traceback__)) if frame.filename == str(file)), None
+        )
+    text = cut(f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": "), LONGEST_ERROR)
+    return ConfigError(file, f"line {line}" if line else "", text)
+
+
+def _refuse_foreign(path: Path, state: os.stat_result) -> None:
+    """Raises ConfigError for a file or folder that another user could change."""
+    if state.st_uid not in (os.geteuid(), 0):
+        expected = f"that of this process ({os.geteuid()}) or root"
+        raise ConfigError(path, "", f"belongs to user {state.st_uid}; expected {expected}, as its code is run")
+    if state.st_mode & WRITABLE_BY_OTHERS:
+        mode = f"mode {stat.S_IMODE(state.st_mode):o}"
+        raise ConfigError(path, "", f"others may write it ({mode}) and its code is run; chmod go-w {path}")
