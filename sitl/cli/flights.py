@@ -71,11 +71,11 @@ def _run_run(parsed: argparse.Namespace) -> int:
     many times faster than real time. The same scenario and seed give a bit-identical flight.
 
     examples:
-      sitl run config/scenarios/platoon.yaml                        the paper's platoon with the paper's law
-      sitl run config/scenarios/platoon.yaml --compare              all laws in turn, one table, one figure
-      sitl run config/scenarios/platoon.yaml --set stand_in.sensors=default --set stand_in.seed=2
-      sitl run config/scenarios/platoon.yaml --autopilot ardupilot  stand-ins that behave like ArduCopter instead of PX4
-      sitl run config/scenarios/platoon.yaml --set links.peer_loss=0.1 --set links.peer_delay_s=0.1
+      sitl run platoon                        the paper's platoon with the paper's law
+      sitl run platoon --compare              all laws in turn, one table, one figure
+      sitl run platoon --set stand_in.sensors=default --set stand_in.seed=2
+      sitl run platoon --autopilot ardupilot  stand-ins that behave like ArduCopter instead of PX4
+      sitl run platoon --set links.peer_loss=0.1 --set links.peer_delay_s=0.1
 
     --set takes any key of the scenario file, [N] for the N-th item of a list from 0, and a YAML value. The section links sets
     the delays of telemetry, setpoints and peer packets, the shares of peer packets that are lost and repeated, and partitions.
@@ -111,16 +111,15 @@ def _run_fly(parsed: argparse.Namespace) -> int:
     --external the agents fly external autopilots, like PX4's and ArduPilot's own simulations.
 
     examples:
-      sitl fly config/scenarios/platoon.yaml                        the paper's platoon with the paper's law
-      sitl fly config/scenarios/platoon.yaml --law average_22       with another law
-      sitl fly config/scenarios/platoon.yaml --compare              all laws in turn, one table, one figure
-      sitl fly config/scenarios/platoon.yaml --compare average_26   only these two
-      sitl fly config/scenarios/platoon.yaml --autopilot ardupilot  stand-ins that behave like ArduCopter instead of PX4
-      sitl fly config/scenarios/four_in_line.yaml --external config/external/px4_sih.yaml   four PX4 in their own simulation
-      sitl fly config/scenarios/platoon.yaml --set stand_in.sensors=default --set timeline[3].for_s=20
-      sitl fly config/scenarios/platoon.yaml --set stand_in.airframe.attitude=instant \\
-                                             --set stand_in.airframe.motor_lag_s=0
-      sitl fly runs/platoon-weighted-20250131-120000/scenario.yaml  repeat a flight exactly
+      sitl fly platoon                        the paper's platoon with the paper's law
+      sitl fly platoon --law average_22       with another law
+      sitl fly platoon --compare              all laws in turn, one table, one figure
+      sitl fly platoon --compare average_26   only these two
+      sitl fly platoon --autopilot ardupilot  stand-ins that behave like ArduCopter instead of PX4
+      sitl fly four_in_line --external config/external/px4_sih.yaml   four PX4 in their own simulation
+      sitl fly platoon --set stand_in.sensors=default --set timeline[3].for_s=20
+      sitl fly platoon --set stand_in.airframe.attitude=instant --set stand_in.airframe.motor_lag_s=0
+      sitl fly runs/platoon-weighted-20250131-120000/scenario.yaml   repeat a flight exactly
 
     --set takes any key of the scenario file, [N] for the N-th item of a list from 0, and a YAML value.
 
@@ -170,9 +169,9 @@ def _run_fleet(parsed: argparse.Namespace) -> int:
     operator: `companion fleet` in a second terminal. The scenario's timeline is not flown; its targets move.
 
     examples:
-      sitl fleet config/scenarios/ring_figure_8.yaml
-      sitl fleet config/scenarios/formations.yaml --set stand_in.sensors=ideal
-      sitl fleet config/scenarios/platoon.yaml --autopilot ardupilot --port-offset 100
+      sitl fleet ring_figure_8
+      sitl fleet formations --set stand_in.sensors=ideal
+      sitl fleet platoon --autopilot ardupilot --port-offset 100
 
     It prints what `companion fleet` needs and the ports for ground stations. Without --port-offset it takes the first of the
     offsets 0, 100, 200, ... with which all ports are free, so that several fleets can fly side by side.

@@ -24,7 +24,12 @@ ABOVE_0, BELOW_INFINITY = 5e-324, sys.float_info.max  # bounds of a number
 
 
 def add_scenario(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scenario", type=Path, metavar="SCENARIO", help="a scenario file, see config/scenarios/")
+    parser.add_argument(
+        "scenario",
+        type=Path,
+        metavar="SCENARIO",
+        help="a scenario file, or the name of a shipped one (`sitl scenarios` lists them)",
+    )
 
 
 def add_autopilot(parser: argparse.ArgumentParser) -> None:

@@ -1,4 +1,4 @@
-"""What is needed before a flight: `sitl autopilot`, stand-ins by themselves, and `sitl new`, a first scenario."""
+"""What is needed before a flight: `sitl scenarios`, `sitl new` for a first scenario, and `sitl autopilot` for stand-ins."""
 
 from __future__ import annotations
 
@@ -100,6 +100,28 @@ def _run_new(options: argparse.Namespace) -> int:
 
     print(new_scenario(formation_of(options), options.folder), end="")
     return 0
+
+
+def _run_scenarios(_: argparse.Namespace) -> int:
+    """The scenarios that are installed with the program: name, vehicles, law and what each shows. Every command that takes a
+    scenario takes such a name.
+
+    examples:
+      sitl scenarios
+      sitl run platoon
+
+    exit codes: 0 listed
+    """
+
+    from sitl.flight.shipped import shipped_lines
+
+    print("\n".join(shipped_lines()))
+    return 0
+
+
+SCENARIOS = command(
+    "scenarios", "lists the shipped scenarios, which fly by their names", lambda _: None, _run_scenarios
+)
 
 
 AUTOPILOT = command(

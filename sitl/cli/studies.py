@@ -81,9 +81,9 @@ def _run_sweep(options: argparse.Namespace) -> int:
     figures each time.
 
     examples:
-      sitl sweep config/scenarios/platoon.yaml --vary fleet.law.name=weighted,average_22,average_26
-      sitl sweep config/scenarios/platoon.yaml --vary fleet.law.exponent=0,1,2,8 --vary links.peer_loss=0,0.1,0.3
-      sitl sweep config/scenarios/platoon.yaml --vary fleet.law.name=weighted,cooperative \\
+      sitl sweep platoon --vary fleet.law.name=weighted,average_22,average_26
+      sitl sweep platoon --vary fleet.law.exponent=0,1,2,8 --vary links.peer_loss=0,0.1,0.3
+      sitl sweep platoon --vary fleet.law.name=weighted,cooperative \\
                  --vary links.peer_delay_s=0,0.05,0.1,0.2 --set stand_in.sensors=ideal --seeds 100 --seconds 40
 
     --vary and --set take any key of the scenario file, [N] for the N-th item of a list from 0. The values of --vary are

@@ -31,6 +31,7 @@ from companion.config.values import Drag, HoverThrust, Name, PositionM, Section,
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.commands import CommandName
 from sitl.autopilots.types import parameter_problems
+from sitl.flight.shipped import scenario_file
 from sitl.vehicle.config import Links, StandIn
 
 OPERATORS_ONLY = (CommandName.TAKE, CommandName.ABORT)  # they lead to no phase that could be waited for
@@ -257,7 +258,11 @@ class Scenario(Section, frozen=True, kw_only=True):
 
 
 def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
-    """Read a scenario file and apply overrides "KEY.PATH=VALUE" (a YAML value). Raises ConfigError."""
+    """Read a scenario file, or a shipped one by its name, and apply overrides "KEY.PATH=VALUE" (a YAML value).
+
+    Raises ConfigError.
+    """
+    path = scenario_file(path)
     data = read_as(path, "scenario")
     scenario = scenario_from(path, data)  # the file must be valid by itself, so that an error below is an override's
     if not overrides:

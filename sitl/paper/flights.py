@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from companion.core.consensus.law import neighbour_weights
 from companion.types.errors import FailedError
 from companion.types.flight import Role
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
+from sitl.flight.shipped import SHIPPED
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.paper.graphs import graph_of
 from sitl.report.metrics import (
@@ -39,7 +39,6 @@ from sitl.report.progress import FlightProgress
 from sitl.report.summary import TopologyChange
 from sitl.study.shapes import is_connected
 
-SCENARIOS = Path(__file__).parents[1] / "scenarios"  # package data: a link to config/scenarios in the source tree
 # The paper's law and both candidates for the law that it was compared with.
 COMPARED: tuple[LawName, ...] = ("average_22", "average_26", "weighted")
 SEEDS, MORE_SEEDS = 5, 20  # flights with noise, each with its own errors
@@ -101,7 +100,7 @@ class PaperPlan:
         """The scenario of the flight. Raises ConfigError."""
         law = [f"fleet.law.name={self.law}", *AS_IN_THE_PAPER]
         model = [f"stand_in.seed={self.seed}", *MODEL_OVERRIDES[self.model]]
-        return load_scenario(SCENARIOS / f"{self.subject}.yaml", [*law, *model, *self.more])
+        return load_scenario(SHIPPED / f"{self.subject}.yaml", [*law, *model, *self.more])
 
 
 @dataclass(frozen=True)

@@ -127,6 +127,13 @@ def test_a_scenario_is_analyzed(installed: Environment) -> None:
     assert "verdict:" in done.stdout
 
 
+def test_the_shipped_scenarios_are_listed(installed: Environment) -> None:
+    done = installed.run("sitl", "scenarios")
+    assert done.returncode == 0, done.stderr
+    shipped = sorted(path.stem for path in (ROOT / "config" / "scenarios").glob("*.yaml"))
+    assert [line.split()[0] for line in done.stdout.splitlines()] == shipped
+
+
 def test_the_doctor_examines_a_stand_in(installed: Environment, vehicle: Path) -> None:
     done = installed.run("companion", "doctor", "--config", str(vehicle))
     assert done.returncode in (0, 1), done.stderr
@@ -162,6 +169,5 @@ def test_with_the_ground_tools_the_paper_s_scenarios_are_found(distributions: di
     done = made.run("python", "-c", plans)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) > 0
-    scenario = next(made.root.glob("lib/python3*/site-packages/sitl/scenarios/platoon.yaml"))
-    done = made.run("sitl", "run", str(scenario), "--quiet", "--set", "timeline[3].for_s=2")
+    done = made.run("sitl", "run", "platoon", "--quiet", "--set", "timeline[3].for_s=2")
     assert done.returncode == 0, done.stderr + done.stdout
