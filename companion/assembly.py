@@ -9,9 +9,9 @@ from typing import TypeVar
 
 from companion.analysis.pace import following_steps
 from companion.analysis.response import USUAL_DRAG_1_S
-from companion.config.file import ConfigError, convert, refuse
+from companion.config.file import ConfigError, refuse
 from companion.config.fleet import EdgeNeighbours, FleetConfig, Law, LawName
-from companion.config.reference import Reference, ReferenceSection, TargetReference
+from companion.config.reference import Reference, TargetReference, commanded
 from companion.config.reference_check import most_pace, reference_checks
 from companion.config.validation import Problem, needs, without_pauses
 from companion.config.vehicle import AgentConfig
@@ -278,7 +278,7 @@ def _references(fleet: FleetConfig, first: Reference, drag_1_s: float) -> Refere
         """RFT of a command, after the checks of the vehicle file. Raises ValueError."""
         problems = []
         try:
-            reference = convert(COMMANDED, {"reference": described}, ReferenceSection).reference
+            reference = commanded(COMMANDED, {"reference": described})
             yield
             for problem in flyable_checks(fleet, reference, slots_enu_m=slots_enu_m, drag_1_s=drag_1_s):
                 if problem is None:
@@ -294,7 +294,7 @@ def _references(fleet: FleetConfig, first: Reference, drag_1_s: float) -> Refere
         """Why the law cannot fly these slots with the configured reference or with that of a command."""
         reference = first
         if described is not None:
-            reference = convert(COMMANDED, {"reference": described}, ReferenceSection).reference
+            reference = commanded(COMMANDED, {"reference": described})
         problem = yield from following_steps(fleet, law_of(fleet.law), reference, slots_enu_m, drag_1_s)
         return None if problem is None else f"{problem.field}: {problem.text}"[:LONGEST_REASON]
 

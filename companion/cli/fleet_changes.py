@@ -88,11 +88,11 @@ def formation_request(parsed: argparse.Namespace) -> FormationRequest:
 
 
 def add_reference_options(parser: argparse.ArgumentParser) -> None:
-    """One option for each key that a kind of reference asks for; the kinds are those of `config/reference.py`."""
-    from companion.config.reference import ASKED, KINDS, type_of_key
+    """One option for each key that a kind of reference asks for; the kinds are those of `config/reference`."""
+    from companion.config.reference import ASKED, PLACED, type_of_key
 
     three = ("EAST", "NORTH", "UP")
-    parser.add_argument("kind", nargs="?", choices=tuple(KINDS), metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument("kind", nargs="?", choices=tuple(PLACED), metavar="KIND", help=", ".join(PLACED))
     parser.add_argument(
         "--file", type=Path, metavar="FILE", help="a file with a section reference (YAML) instead of KIND"
     )

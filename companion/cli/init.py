@@ -11,8 +11,9 @@ import msgspec
 
 from companion.cli.program import CliCommand, command
 from companion.config.fleet import LawName
-from companion.config.new_formation import NewFormation, ReferenceKind
+from companion.config.new_formation import NewFormation
 from companion.config.planned_flight import TOPOLOGY_WORDS, ShapeName, Topology
+from companion.config.reference import FirstKind
 from companion.types.autopilot import AutopilotKind
 from companion.types.errors import EXIT_DONE
 
@@ -37,9 +38,7 @@ def add_formation(parser: argparse.ArgumentParser) -> None:
         help="smallest distance between slots (default 3)",
     )
     parser.add_argument("--topology", choices=get_args(Topology), default="chain", help="neighbours (default chain)")
-    parser.add_argument(
-        "--reference", choices=get_args(ReferenceKind), default="point", help="reference (default point)"
-    )
+    parser.add_argument("--reference", choices=get_args(FirstKind), default="point", help="reference (default point)")
     parser.add_argument("--law", choices=get_args(LawName), default="cooperative", help="law (default cooperative)")
     parser.add_argument(
         "--heading",

@@ -93,15 +93,20 @@ def load(path: Path, type_: type[T]) -> T:
     return convert(path, read_yaml(path), type_)
 
 
-def read_yaml(path: Path) -> Any:
-    """The plain content of a YAML file. Raises ConfigError; a key that is given twice is an error."""
+def read_text(path: Path) -> str:
+    """Raises ConfigError."""
     try:
-        text = read_regular(path)[0].decode("utf-8")
+        return read_regular(path)[0].decode("utf-8")
     except UnicodeDecodeError as error:
         raise ConfigError(path, "", f"is not UTF-8 text (byte {error.start})") from error
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
         reason = error.strerror if isinstance(error, OSError) else "a zero byte in its name"
         raise ConfigError(path, "", f"cannot be read: {reason}; check the path") from error
+
+
+def read_yaml(path: Path) -> Any:
+    """The plain content of a YAML file. Raises ConfigError; a key that is given twice is an error."""
+    text = read_text(path)
     try:
         return yaml.load(text, Loader=StrictLoader)
     except yaml.MarkedYAMLError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from math import ceil, floor, tau
+from math import ceil, floor
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,13 +22,7 @@ from companion.config.planned_flight import (
     members_of,
     neighbours_of,
 )
-from companion.config.reference import (
-    CircleReference,
-    Figure8Reference,
-    PointReference,
-    Reference,
-    WaypointsReference,
-)
+from companion.config.reference import KINDS, FirstKind, Reference
 from companion.config.validation import Problem
 from companion.config.values import FLEET_NAME_WORDS
 from companion.geometry.formations import reach_m
@@ -36,8 +30,6 @@ from companion.types.values import FLEET_NAME, quoted
 
 ProblemsOf = Callable[[FleetConfig, Reference], Iterable[Problem]]
 """Why a fleet cannot fly a reference."""
-ReferenceKind = Literal["point", "circle", "figure_8", "waypoints"]
-CRUISE_M_S = 2.0  # speed of a moving reference, if the formation can turn as fast
 TURNING_SLOT_SPEED_M_S = 2.0  # default for formations that turn: at 1 m/s a lap would take minutes
 SLOWER = 1.1  # factor by which a reference is made slower until the formation can follow it
 MOST_ATTEMPTS = 60
@@ -57,7 +49,7 @@ class NewFormation(Struct, frozen=True, kw_only=True):
     shape: ShapeName = "line"
     spacing_m: float = 3.0
     topology: Topology = "chain"
-    reference: ReferenceKind = "point"
+    reference: FirstKind = "point"
     law: LawName = "cooperative"
     heading: Literal["fixed", "course"] = "fixed"
     height_m: float = 3.0
@@ -193,22 +185,9 @@ def write_new(texts: Mapping[Path, str], check: Callable[[], object]) -> None:
 def _reference(new: NewFormation, members: tuple[FormationMember, ...]) -> Reference:
     """A reference in proportion to the formation, at the height of the take-off."""
     size_m = float(ceil(max(SMALLEST_REFERENCE_M, 1.5 * reach_m(member.slot_enu_m for member in members))))
-    centre = (0.0, 0.0, new.height_m)
-    match new.reference:
-        case "point":
-            return PointReference(point_enu_m=centre)
-        case "circle":
-            period_s = float(ceil(tau * size_m / CRUISE_M_S))
-            return CircleReference(centre_enu_m=centre, radius_m=size_m, period_s=period_s, ramp_s=8.0)
-        case "figure_8":
-            eight = Figure8Reference(
-                centre_enu_m=centre, width_m=2.0 * size_m, height_m=size_m, period_s=100.0, ramp_s=8.0
-            )
-            return replace(eight, period_s=float(ceil(100.0 * eight.largest_pace()[0] / CRUISE_M_S)))
-        case "waypoints":
-            corners = ((0.0, 0.0), (size_m, 0.0), (size_m, size_m), (0.0, size_m), (0.0, 0.0))
-            points = tuple((x, y, new.height_m) for x, y in corners)
-            return WaypointsReference(points_enu_m=points, wait_s=3.0, max_speed_m_s=CRUISE_M_S)
+    reference = KINDS[new.reference].first(size_m, new.height_m)
+    assert reference is not None  # a kind of FirstKind
+    return reference
 
 
 def _envelope(members: tuple[FormationMember, ...], reference: Reference) -> Envelope:

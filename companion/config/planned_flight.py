@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from itertools import combinations, pairwise
 from math import dist, radians
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from msgspec import Meta
 
@@ -34,7 +34,10 @@ RANGE_FACTOR, HYSTERESIS_FACTOR = 1.5, 0.25
 START_CLEARANCE = 1.2
 """Smallest distance of default starts in the plane, in units of `separation_m`."""
 
-ShapeName = Literal["line", "column", "v", "diamond", "rectangle", "circle", "grid", "layers"]
+if TYPE_CHECKING:
+    ShapeName: TypeAlias = str
+else:
+    ShapeName = Literal[tuple(SHAPES)]
 HeadingDeg = Annotated[float, about("heading of the formation: 0 is east, 90 is north", ge=-360, le=360)]
 SpacingM = Annotated[float, about("smallest distance between slots", gt=0, le=1000)]
 VehicleCount = Annotated[int, Meta(ge=1, le=250)]

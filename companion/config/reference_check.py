@@ -8,7 +8,8 @@ from pathlib import Path
 
 from companion.config.file import refuse
 from companion.config.fleet import FleetConfig
-from companion.config.reference import LappingReference, LimitedReference, Reference
+from companion.config.reference import Reference
+from companion.config.reference.base import LimitedReference
 from companion.config.validation import Problem, each, needs, without_pauses
 from companion.geometry.airspace import Airspace, conflict_steps, leg_conflict_steps, nearest_kind
 from companion.geometry.curves import PEAK_SPEED, duration_s
@@ -30,6 +31,9 @@ def reference_checks(
     """
     needs(reference)
     slots = slots_enu_m or {member.id: member.slot_enu_m for member in fleet.vehicles}
+    if contradictions := [Problem(f"{where}.{key}", text) for key, text in reference.contradictions()]:
+        yield from contradictions
+        return
     yield from each(
         _positions(where, fleet, reference, slots),
         _paths(where, fleet, reference, slots, reference.largest_pace()[0]),
@@ -38,7 +42,7 @@ def reference_checks(
     if reference.MOVES:
         yield from each(_pace(where, fleet, reference))
         yield None
-    if fleet.slots_turn and isinstance(reference, LappingReference):
+    if fleet.slots_turn and reference.MOVES:
         yield from each(_turns(where, fleet, reference, slots))
 
 
@@ -134,24 +138,22 @@ def _pace(where: str, fleet: FleetConfig, reference: Reference) -> Iterator[Prob
     speed_m_s, acceleration_m_s2 = reference.largest_pace()
     accepted_m_s, most_m_s2 = most_pace(fleet)
     for_turning = ", less what slots need that turn" if fleet.slots_turn else ""
-    found: list[tuple[float, Problem]] = []  # how many times slower it must be, and the problem
+    found: dict[str, tuple[float, str]] = {}  # by field: how many times slower it must be, and the problem
     if acceleration_m_s2 > most_m_s2 * ROUNDED:
         times = (acceleration_m_s2 / most_m_s2) ** 0.5
         field, asks, advice = reference.excess("max_acceleration_m_s2", most_m_s2, times)
         given = f"envelope.max_tilt_deg {fleet.envelope.max_tilt_deg:g} gives {most_m_s2:.1f}{for_turning}"
         text = f"{asks} for {acceleration_m_s2:.1f} m/s^2, {given}; expected {advice}"
-        found.append((times, Problem(f"{where}.{field}", text)))
+        found[field] = times, text
     if speed_m_s > accepted_m_s * ROUNDED:
         times = speed_m_s / accepted_m_s
         field, asks, advice = reference.excess("max_speed_m_s", accepted_m_s, times)
         given = f"envelope.max_speed_m_s allows {accepted_m_s:g}{for_turning}"
         text = f"{asks} for {speed_m_s:.1f} m/s, {given}; expected {advice}"
-        found.append((times, Problem(f"{where}.{field}", text)))
-    if isinstance(reference, LimitedReference):
-        found += [(1.0, problem) for problem in _climbs(where, fleet, reference)]
-    if isinstance(reference, LappingReference) and found:  # the same field: the slower period meets both limits
-        found = [max(found)]
-    yield from (problem for _, problem in found)
+        found[field] = max((times, text), found.get(field, (0.0, "")))  # the slower pace meets both limits
+    yield from (Problem(f"{where}.{field}", text) for field, (_, text) in found.items())
+    yield from _climbs(where, fleet, reference) if isinstance(reference, LimitedReference) else ()
+    yield from _rates(where, fleet, reference)
 
 
 def _climbs(where: str, fleet: FleetConfig, reference: LimitedReference) -> Iterator[Problem]:
@@ -172,19 +174,31 @@ def _climbs(where: str, fleet: FleetConfig, reference: LimitedReference) -> Iter
             return
 
 
+def _rates(where: str, fleet: FleetConfig, reference: Reference) -> Iterator[Problem]:
+    """One without legs that is faster upwards or downwards than the vehicles may be."""
+    for name, rate_m_s in zip(("max_climb_m_s", "max_descent_m_s"), reference.largest_climb(), strict=True):
+        most_m_s = getattr(fleet.envelope, name)
+        if rate_m_s > most_m_s * ROUNDED:
+            key, value, advice = reference.slower_pace(rate_m_s / most_m_s)
+            text = (
+                f"{value} gives {rate_m_s:.1f} m/s vertically, envelope.{name} allows {most_m_s:g}; expected {advice}"
+            )
+            yield Problem(f"{where}.{key}", text)
+
+
 def _turns(
-    where: str, fleet: FleetConfig, reference: LappingReference, slots_enu_m: Mapping[int, Vector3]
+    where: str, fleet: FleetConfig, reference: Reference, slots_enu_m: Mapping[int, Vector3]
 ) -> Iterator[Problem]:
     """A formation that cannot turn as fast as the course falls behind more and more."""
     outermost_m = reach_m(slots_enu_m.values())
     most_rad_s = turn_limits(outermost_m, fleet.slot_speed_m_s).rate_rad_s
-    curve, period_s = reference.curve(), reference.period_s
-    turns = (course(velocity, acceleration, 0.0) for _, velocity, acceleration in map(curve, reference.lap_s()))
-    fastest_rad_s = max(abs(turn.rate_rad_s) for turn in turns if turn)
+    motions = map(reference.curve(), reference.turning_s())
+    turns = (course(velocity, acceleration, 0.0) for _, velocity, acceleration in motions)
+    fastest_rad_s = max((abs(turn.rate_rad_s) for turn in turns if turn), default=0.0)
     if fastest_rad_s > most_rad_s * ROUNDED:
-        longer_s = period_s * fastest_rad_s / most_rad_s + 0.05
+        key, value, advice = reference.slower_turn(fastest_rad_s / most_rad_s)
         yield Problem(
-            f"{where}.period_s",
-            f"{period_s:g} s turns the course by up to {fastest_rad_s:.2f} rad/s; a formation that turns with it and reaches"
-            f" {outermost_m:.1f} m can {most_rad_s:.2f}; expected at least {longer_s:.1f} s, or a larger slot_speed_m_s",
+            f"{where}.{key}",
+            f"{value} turns the course by up to {fastest_rad_s:.2f} rad/s; a formation that turns with it and reaches"
+            f" {outermost_m:.1f} m can {most_rad_s:.2f}; expected {advice}, or a larger slot_speed_m_s",
         )

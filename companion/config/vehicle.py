@@ -16,7 +16,7 @@ from msgspec import Meta
 from companion.config.file import ConfigError, convert, read_as
 from companion.config.fleet import FleetConfig, FormationMember
 from companion.config.fleet_check import load_fleet
-from companion.config.reference import Reference
+from companion.config.reference import Reference, read_named
 from companion.config.reference_check import reference_problems
 from companion.config.validation import Problem, each
 from companion.config.values import (
@@ -252,7 +252,7 @@ def load_agent(path: Path) -> AgentConfig:
             yield from each(network_problems(fleets[0], vehicle.id, vehicle.zenoh, vehicle.datagrams, secured))
 
     try:
-        vehicle = convert(path, read_as(path, "vehicle"), VehicleConfig, problems)
+        vehicle = convert(path, read_named(read_as(path, "vehicle"), path), VehicleConfig, problems)
     except ConfigError as error:
         errors.insert(0, error)
     if errors:

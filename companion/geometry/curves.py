@@ -90,6 +90,24 @@ def centred_at(centre: Vector3, curve: Curve) -> Curve:
     return at
 
 
+def ramped(curve: Curve, lasts_s: float, ramp_s: float) -> Curve:
+    """The curve from 0 to `lasts_s` with a ramp of its rate at both ends, as that of `figure_8`: it takes `ramp_s` longer."""
+    whole_s = lasts_s + ramp_s
+
+    def at(time_s: float) -> Motion:
+        since_s, rate, change = _phase(min(time_s, whole_s - time_s), 1.0, ramp_s)
+        if time_s > whole_s / 2.0:
+            since_s, change = lasts_s - since_s, -change
+        position, (vx, vy, vz), (ax, ay, az) = curve(since_s)
+        return (
+            position,
+            (vx * rate, vy * rate, vz * rate),
+            (ax * rate**2 + vx * change, ay * rate**2 + vy * change, az * rate**2 + vz * change),
+        )
+
+    return at
+
+
 def decay_to_rest(begin: Motion, lasts_s: float) -> Curve:
     """Quintic from this position, velocity and acceleration to rest at the origin within `lasts_s`."""
     axes = [_quintic(p, v * lasts_s, a * lasts_s**2) for p, v, a in zip(*begin, strict=True)]
@@ -98,7 +116,7 @@ def decay_to_rest(begin: Motion, lasts_s: float) -> Curve:
         if time_s >= lasts_s:
             return ZERO3, ZERO3, ZERO3
         u = max(time_s, 0.0) / lasts_s
-        (x, dx, ddx), (y, dy, ddy), (z, dz, ddz) = [_polynomial(axis, u) for axis in axes]
+        (x, dx, ddx), (y, dy, ddy), (z, dz, ddz) = [polynomial(axis, u) for axis in axes]
         rate, rate2 = 1.0 / lasts_s, 1.0 / lasts_s**2
         return (x, y, z), (dx * rate, dy * rate, dz * rate), (ddx * rate2, ddy * rate2, ddz * rate2)
 
@@ -214,7 +232,7 @@ def _quintic(p: float, v: float, a: float) -> Coefficients:
     )
 
 
-def _polynomial(coefficients: Coefficients, u: float) -> Vector3:
+def polynomial(coefficients: Coefficients, u: float) -> Vector3:
     """Value, first and second derivative at u."""
     c0, c1, c2, c3, c4, c5 = coefficients
     return (

@@ -40,28 +40,42 @@ def to_separation_metric(position_enu_m: Vector3, has_height: bool) -> Vector3:
 LAYERS = 2
 LAYER_HEIGHT = 1.0 / (HEIGHT_WEIGHT * sqrt(2.0))  # half a step aside in x and y, slots of two layers are one step apart
 
+Shape = Callable[[int], list[Vector3]]
+SHAPES: dict[str, Shape] = {}  # by name: what files, commands and the page may name
 
+
+def shape(slots: Shape) -> Shape:
+    """Names a shape by its function: the slots of n vehicles, whose spacing is made that of the file."""
+    SHAPES[slots.__name__] = slots
+    return slots
+
+
+@shape
 def line(n: int) -> list[Vector3]:
     """Abreast, along y."""
     return [(0.0, (n - 1) / 2.0 - i, 0.0) for i in range(n)]
 
 
+@shape
 def column(n: int) -> list[Vector3]:
     """One behind another; the first is at the RFT."""
     return [(-float(i), 0.0, 0.0) for i in range(n)]
 
 
+@shape
 def v(n: int) -> list[Vector3]:
     """A point ahead and two wings swept back by 45 degrees, left and right in turn."""
     return [(-_rank(i) / sqrt(2.0), _rank(i) / sqrt(2.0) * (1.0 if i % 2 else -1.0), 0.0) for i in range(n)]
 
 
+@shape
 def diamond(n: int) -> list[Vector3]:
     """A square with a corner ahead: four vehicles on the corners, further ones on the sides."""
     corners = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]
     return _outline(corners, _shares(n, (0, 2, 3, 1)))[:n]  # opposite sides first
 
 
+@shape
 def rectangle(n: int) -> list[Vector3]:
     """The outline of a rectangle on a grid; the sides along x are the longer ones."""
     shares = _shares(n, (1, 3, 0, 2))  # front, left, back, right
@@ -70,6 +84,7 @@ def rectangle(n: int) -> list[Vector3]:
     return _outline([(x, -y), (x, y), (-x, y), (-x, -y)], shares)[:n]
 
 
+@shape
 def circle(n: int) -> list[Vector3]:
     """Evenly spaced about the RFT, the first slot ahead."""
     if n == 1:
@@ -77,6 +92,7 @@ def circle(n: int) -> list[Vector3]:
     return [(cos(2.0 * pi * i / n), sin(2.0 * pi * i / n), 0.0) for i in range(n)]
 
 
+@shape
 def grid(n: int) -> list[Vector3]:
     """A square grid; the last row is centred."""
     columns = ceil(sqrt(n))
@@ -89,6 +105,7 @@ def grid(n: int) -> list[Vector3]:
     return slots
 
 
+@shape
 def layers(n: int) -> list[Vector3]:
     """Grids one above another, each offset by half a step.
 
@@ -100,19 +117,6 @@ def layers(n: int) -> list[Vector3]:
         aside = 0.5 * (layer % 2)
         slots += [(x + aside, y + aside, LAYER_HEIGHT * layer) for x, y, _ in grid(count)] if count else []
     return slots
-
-
-Shape = Callable[[int], list[Vector3]]
-SHAPES: Mapping[str, Shape] = {
-    "line": line,
-    "column": column,
-    "v": v,
-    "diamond": diamond,
-    "rectangle": rectangle,
-    "circle": circle,
-    "grid": grid,
-    "layers": layers,
-}
 
 
 def slots_of(shape: Shape, n: int, spacing_m: float, heading_rad: float) -> list[Vector3]:

@@ -13,10 +13,10 @@ from math import dist, hypot, radians
 from pathlib import Path
 from types import MappingProxyType
 
-from companion.config.file import ConfigError, convert
+from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_slots
-from companion.config.reference import KINDS, Reference, ReferenceSection, load_reference
+from companion.config.reference import PLACED, Reference, commanded, load_reference
 from companion.geometry.curves import duration_s
 from companion.geometry.formations import (
     ROUNDING_M,
@@ -121,8 +121,8 @@ def resolve_reference(request: ReferenceRequest, here_enu_m: Vector3 | None) -> 
     described, where = request.described, command_line("reference")
     name = described.get("kind")
     if not isinstance(name, str):
-        raise ConfigError(where, "KIND", f"missing; expected one of {', '.join(KINDS)}, or --file FILE")
-    kind = KINDS[name]
+        raise ConfigError(where, "KIND", f"missing; expected one of {', '.join(PLACED)}, or --file FILE")
+    kind = PLACED[name]
     positions = [list(position) for position in request.positions_enu_m]
     if kind.AWAITED and not positions:
         if here_enu_m is None:
@@ -134,7 +134,7 @@ def resolve_reference(request: ReferenceRequest, here_enu_m: Vector3 | None) -> 
         expected = "one or more" if most > 1 else "one"
         raise ConfigError(where, "--at", f"given {len(positions)} times; a reference {name} has {expected}")
     position = {kind.POSITION: positions if most > 1 else positions[0]}
-    return convert(where, {"reference": described | position}, ReferenceSection).reference
+    return commanded(where, {"reference": described | position})
 
 
 def named_slots(shape: str, n: int, spacing_m: float, heading_deg: float) -> list[Vector3]:

@@ -10,11 +10,11 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta, Struct, structs
 
-from companion.config.file import ConfigError, convert
+from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import check_slots
 from companion.config.planned_flight import ShapeName
-from companion.config.reference import ASKED, KINDS, Asked, Reference, ReferenceSection
+from companion.config.reference import PLACED, Asked, Reference, commanded
 from companion.config.reference_check import reference_problems
 from companion.config.values import PositionM
 from companion.geometry.formations import closest_approach, to_separation_metric, turned_slot
@@ -44,7 +44,6 @@ SIMPLE = ("arm", "takeoff", "form", HOLD, LAND, "return", "disarm", "take")
 CHANGES = ("leader", "formation", "reference")
 ACTIONS = (*SIMPLE, ABORT, DOCTOR, *CHANGES)
 UNITS = {"_m_s": "m/s", "_m": "m", "_s": "s"}  # by the end of a key
-ORDER = {key: index for index, key in enumerate(ASKED)}
 REQUEST = Path("request")  # named in an error in place of a file
 
 T = TypeVar("T", bound=Struct)
@@ -131,7 +130,7 @@ def formation_request(content: FormationContent, fleet: FleetConfig) -> Formatio
 def reference_of(content: Mapping[str, Any]) -> Reference:
     """As in a vehicle file. Raises OperateError."""
     try:
-        return convert(REQUEST, {"reference": dict(content)}, ReferenceSection).reference
+        return commanded(REQUEST, {"reference": dict(content)})
     except ConfigError as error:
         raise OperateError(_one_line(error)) from error
 
@@ -152,13 +151,10 @@ def reference_forms() -> list[dict[str, Any]]:
             "position": kind.POSITION,
             "place": kind.PLACE,
             "most": kind.MOST_POSITIONS,
-            "inputs": [
-                _input(field, ASKED[field.name])
-                for field in sorted(structs.fields(kind), key=lambda field: ORDER.get(field.name, 0))
-                if field.name in ASKED and ASKED[field.name].title
-            ],
+            "inputs": [_input(fields[key], asked) for key, asked in kind.ASKED.items() if asked.title],
         }
-        for name, kind in KINDS.items()
+        for name, kind in PLACED.items()
+        for fields in [{field.name: field for field in structs.fields(kind)}]
     ]
 
 

@@ -22,6 +22,7 @@ from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 from msgspec import Struct
 
+from companion.geometry.formations import SHAPES
 from companion.monitor import MonitorError
 from companion.monitor.access import (
     Clients,
@@ -174,7 +175,7 @@ TYPES = {
     ".txt": "text/plain",
 }
 PRELOADS = b"<!-- preloads -->"  # in index.html
-REFERENCE_FORMS = b"[/* reference forms */]"  # likewise
+REFERENCE_FORMS, SHAPE_NAMES = b"[/* reference forms */]", b"[/* shapes */]"  # likewise
 DEEPEST_ZOOM = 24
 TILE_AGE_S = 86400
 
@@ -193,6 +194,7 @@ def page_files(folder: Path = PAGE) -> Mapping[str, PageFile]:
     files = [file for file in sorted(folder.rglob("*")) if file.is_file() and file.suffix in TYPES]
     bodies = {file.relative_to(folder).as_posix(): file.read_bytes() for file in files}
     index = bodies["index.html"].replace(PRELOADS, _preloads(bodies))
+    index = index.replace(SHAPE_NAMES, _encoder.encode(list(SHAPES)))
     bodies["index.html"] = index.replace(REFERENCE_FORMS, _encoder.encode(reference_forms()))
     return {path: PageFile(body, TYPES[Path(path).suffix], sha256(body).hexdigest()) for path, body in bodies.items()}
 

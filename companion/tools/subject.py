@@ -22,7 +22,7 @@ from companion.config.file import SET, convert, kind_of_file, override, read_as
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import fleet_problems
 from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
-from companion.config.reference import Reference
+from companion.config.reference import Reference, read_named
 from companion.config.validation import Problem, each, examine, unless_invalid
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import ZERO3, Vector3
@@ -110,11 +110,12 @@ def load_subject(path: Path, overrides: Sequence[str] = ()) -> Subject:
     In a fleet file the vehicles start in formation, STEP_M behind the reference. Raises ConfigError.
     """
     data = read_as(path, "scenario", "fleet")
-    subject = subject_of(path, data)  # the file must be valid by itself, so that an error below is an override's
+    # The file must be valid by itself, so that an error below is an override's.
+    subject = subject_of(path, read_named(data, path))
     if not overrides:
         return subject
     data = override(data, overrides, "fleet.law.name=average_22, or law.name=average_22 in a fleet file")
-    return structs.replace(subject_of(SET, data), file=path, settings=tuple(overrides))
+    return structs.replace(subject_of(SET, read_named(data, path)), file=path, settings=tuple(overrides))
 
 
 def subject_of(path: Path, data: Any) -> Subject:

@@ -46,7 +46,7 @@ class Lead(Struct, frozen=True, gc=False, tag=True):
     epoch: Annotated[int, Meta(ge=0, le=MAX_EPOCH)]
 
 
-_Numbers = Annotated[list[Finite], Meta(max_length=3)]
+_Numbers = Annotated[list[Finite], Meta(max_length=4)]
 # A text without a pattern: msgspec 0.22 frees memory twice where a union has both a pattern and a list.
 _Text = Annotated[str, Meta(max_length=80)]
 Described = dict[Word, bool | int | Finite | _Text | Annotated[list[Finite | _Numbers], Meta(max_length=200)]]

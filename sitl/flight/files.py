@@ -10,6 +10,7 @@ import yaml
 from msgspec.structs import replace
 
 from companion.config.fleet import FleetConfig, GeodeticOrigin
+from companion.config.reference import carried
 from companion.config.values import MAX_DRAG_1_S, VehicleId
 from companion.config.vehicle import DatagramEndpoints, RecordingSettings, VehicleConfig, ZenohEndpoints
 from companion.mavlink.autopilot_types import PROFILES
@@ -175,4 +176,5 @@ def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
 
 
 def _write_yaml(path: Path, content: msgspec.Struct) -> None:
-    path.write_text(yaml.safe_dump(msgspec.to_builtins(content), sort_keys=False), encoding="utf-8")
+    plain = carried(msgspec.to_builtins(content), path.parent)
+    path.write_text(yaml.safe_dump(plain, sort_keys=False), encoding="utf-8")

@@ -25,7 +25,7 @@ from companion.config.planned_flight import (
     planned_problems,
     starts_of,
 )
-from companion.config.reference import CircleReference, Figure8Reference, PointReference, Reference, WaypointsReference
+from companion.config.reference import KnownReference, Reference, command_problems, read_named
 from companion.config.validation import Problem, each, unless_invalid
 from companion.config.values import Drag, HoverThrust, Name, PositionM, Section, VehicleId
 from companion.core.reference.blend import ReferenceTrajectory
@@ -115,7 +115,7 @@ def timeline_problems(fleet: FleetConfig, timeline: Sequence[TimelineStep]) -> I
             _leaders(step, fleet, f"{where}.leaders"),
             _contents(step, where),
             () if step.formation is None else _formation(step.formation, fleet, f"{where}.formation"),
-            () if step.reference is None else flyable_problems(fleet, step.reference, f"{where}.reference"),
+            () if step.reference is None else _reference(step.reference, fleet, f"{where}.reference"),
         )
     yield from each(_order(timeline))
 
@@ -142,6 +142,11 @@ def _formation(step: FormationStep, fleet: FleetConfig, where: str) -> Iterator[
     if step.slots_enu_m and (unequal := sorted(ids ^ step.slots_enu_m.keys())):
         known = ", ".join(str(i) for i in sorted(ids))
         yield Problem(f"{where}.slots_enu_m.{unequal[0]}", f"expected a slot for each of {known}, and no other")
+
+
+def _reference(reference: Reference, fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    refused = list(command_problems(reference, where))
+    yield from refused or flyable_problems(fleet, reference, where)
 
 
 def _order(timeline: Sequence[TimelineStep]) -> Iterator[Problem]:
@@ -197,7 +202,7 @@ class MovingTarget(Section, frozen=True, kw_only=True):
     """
 
     name: Name = "main"
-    path: PointReference | Figure8Reference | CircleReference | WaypointsReference
+    path: KnownReference
     begins_s: Annotated[float, Meta(ge=0, le=3600)] = 0.0
     ends_s: Annotated[float, Meta(gt=0, le=3600)] = 3600.0
 
@@ -264,10 +269,12 @@ def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
     """
     path = scenario_file(path)
     data = read_as(path, "scenario")
-    scenario = scenario_from(path, data)  # the file must be valid by itself, so that an error below is an override's
+    # The file must be valid by itself, so that an error below is an override's.
+    scenario = scenario_from(path, read_named(data, path))
     if not overrides:
         return scenario
-    return scenario_from(SET, override(data, overrides, "fleet.law.name=average_22 or timeline[3].for_s=20"))
+    data = override(data, overrides, "fleet.law.name=average_22 or timeline[3].for_s=20")
+    return scenario_from(SET, read_named(data, path))
 
 
 def reference_of(scenario: Scenario) -> ReferenceTrajectory:

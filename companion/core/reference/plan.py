@@ -33,7 +33,7 @@ LEADER_VALID_S = 2.0  # the last packet of a lost leader counts for this time: i
 
 @dataclass(frozen=True, slots=True)
 class LiveReference:
-    """An RFT that follows a target; see TargetReference in `config/reference.py`."""
+    """An RFT that follows a target; see TargetReference in `config/reference/target.py`."""
 
     start_enu_m: Vector3
     name: str

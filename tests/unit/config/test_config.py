@@ -148,7 +148,7 @@ def test_an_error_in_a_fleet_file_is_located(tmp_path: Path, change: Callable[[A
         ({"signing": {"credential": "../a"}}, ["signing.credential", "'../a'", "a name of letters"]),
         (
             {"id": 1, "reference": {"kind": "ring"}},
-            ["reference.kind: 'ring'", "one of circle, figure_8, point, target, waypoints"],
+            ["reference.kind: 'ring'", "one of circle, figure_8, file, point, samples, target, waypoints"],
         ),
         ({"signing": {"key_file": "a", "link_id": 256}}, ["signing.link_id", "256"]),
     ],

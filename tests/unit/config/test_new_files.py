@@ -10,15 +10,16 @@ import pytest
 from companion.analysis.response import reached_from
 from companion.cli.main import main
 from companion.config.file import ConfigError
-from companion.config.new_formation import NewFormation, ReferenceKind, flight_time_s
+from companion.config.new_formation import NewFormation, flight_time_s
 from companion.config.planned_flight import ShapeName, Topology, neighbour_graph
+from companion.config.reference import FirstKind
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.geometry.formations import smallest_distance
 from companion.tools.subject import load_subject
 from sitl.flight.new_scenario import new_scenario
 from sitl.flight.scenario import Scenario, load_scenario
 
-SHAPES, TOPOLOGIES, REFERENCES = get_args(ShapeName), get_args(Topology), get_args(ReferenceKind)
+SHAPES, TOPOLOGIES, REFERENCES = get_args(ShapeName), get_args(Topology), get_args(FirstKind)
 FIELD = ("--origin", "47.4", "8.5", "488")
 
 

@@ -71,7 +71,7 @@ AT = ["--at", "0", "-5", "4"]
         (["formation", "--slots", PAIR, "--fleet", PAIR], "this is a fleet file; a file with slots_enu_m is expected"),
         (
             ["reference", "--fleet", PAIR],
-            "companion fleet reference: KIND: missing; expected one of point, waypoints, circle",
+            "companion fleet reference: KIND: missing; expected one of point, circle, figure_8",
         ),
         (["reference", "spiral", "--fleet", PAIR], "invalid choice: 'spiral'"),
         (

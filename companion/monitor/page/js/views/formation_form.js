@@ -3,7 +3,7 @@
 import { html, nothing } from "./lit.js";
 import { previewed } from "./previewed.js";
 
-const SHAPES = ["line", "column", "v", "diamond", "rectangle", "circle", "grid", "layers"];
+const SHAPES = JSON.parse(document.getElementById("shapes").textContent);
 const SCALED = "the present slots, scaled";
 const FREE = "a slot for each vehicle";
 
