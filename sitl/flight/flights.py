@@ -160,20 +160,26 @@ class FlightEnd(Struct, frozen=True, kw_only=True):
     source: TrackSource = "true"
 
 
+def result_of(scenario: Scenario, name: str, watch: FlightWatch, tracks: Tracks | None, end: FlightEnd) -> FlightResult:
+    """The figures of a flight. `tracks` is None where none are known."""
+    flight = _flight(scenario, watch, tracks, end.source) if tracks else None
+    smallest_m = smallest_distance_m(tracks) if tracks else None
+    return FlightResult(summarize(scenario, name, watch, end, flight, smallest_m), flight)
+
+
 def write_results(order: FlightOrder, watch: FlightWatch, tracks: Tracks | None, end: FlightEnd) -> FlightResult:
     """summary.json and, where a formation was flown, its figures. `tracks` is None where none are known."""
     scenario, name, folder = order.scenario, order.name, order.folder
-    flight = _flight(scenario, watch, tracks, end.source) if tracks else None
-    summary = summarize(scenario, name, watch, end, flight, smallest_distance_m(tracks) if tracks else None)
-    write_json(folder / "summary.json", summary)
-    if flight:
+    result = result_of(scenario, name, watch, tracks, end)
+    write_json(folder / "summary.json", result.summary)
+    if flight := result.flight:
         from sitl.report.plan_view import save_plan_view  # matplotlib is slow to import
         from sitl.report.plots import save_figure_5, save_figure_6
 
         save_figure_5(folder / "figure_5.png", flight, name)
         save_figure_6(folder / "figure_6.png", flight, name)
         save_plan_view(folder / "from_above.png", flight, watch, name, scenario.fleet.airspace)
-    return FlightResult(summary, flight)
+    return result
 
 
 # The figures of a formation that a summary has as well.

@@ -62,6 +62,7 @@ class VirtualStandIn:
         self.ground_m = file.start_enu_m[2]
         self.link = DirectLink(self.autopilot, behaviour.onboard_link(self.autopilot), links, phase_s)
         self._track = array("d")  # time, state, thrust: flat, because a study keeps many of them
+        self._targets = array("d")  # with each row: roll, pitch, yaw and thrust that its agent sent last
         self._modes: list[tuple[bool, str]] = []
         self._commanded = bytearray()  # with each row: whether the autopilot flies attitudes that its agent sends
         self._mode: FlightMode | None = None  # of the last row, its name, and whether attitudes are flown in it
@@ -82,12 +83,22 @@ class VirtualStandIn:
             self._takes_attitudes = mode is AutopilotMode.OFFBOARD
         self._track.extend((now_s, *quad.state[:STATE_KEPT], quad.thrust_norm))
         self._modes.append((autopilot.armed, self._mode_name))
+        target = self.link.target
+        self._targets.extend((target.roll_rad, target.pitch_rad, target.yaw_rad, target.thrust_norm))
         streams = now_s - self.link.setpoint_s < STREAM_ENDED_AFTER_S
         self._commanded.append(self._takes_attitudes and streams and autopilot.armed)
 
     def commanded(self) -> BoolArray:
         """Whether an agent commanded the attitude (k,), at the times of the track."""
         return np.array(self._commanded, dtype=np.bool_)
+
+    def setpoints(self) -> NDArray[np.float64]:
+        """Roll, pitch, yaw [rad] and thrust (k, 4) that its agent commanded, at the times of the track; NaN without any."""
+        return np.where(self.commanded()[:, None], np.array(self._targets).reshape(-1, 4), np.nan)
+
+    def velocities_enu_m_s(self) -> NDArray[np.float64]:
+        """True velocities (k, 3), at the times of the track."""
+        return np.array(self._track).reshape(-1, STATE_KEPT + 2)[:, 4:7]
 
     def flies(self) -> BoolArray:
         """Whether it was armed and off the ground (k,), at the times of the track."""

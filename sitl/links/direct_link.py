@@ -134,6 +134,7 @@ class DirectLink:
         self._positions_s: deque[float] = deque()  # when those among them arrive
         self.position_s = inf  # when the next one does, which triggers a tick; infinite where none is on its way
         self.setpoint_s = -inf  # when the agent sent its last attitude target
+        self.target = AttitudeTarget(0.0, 0.0, 0.0, 0.0)  # that one
         self._to_autopilot: deque[tuple[float, AttitudeSetpoint | bytes]] = deque()
 
     # ------------------------------------------------------------ the autopilot's end
@@ -202,7 +203,7 @@ class DirectLink:
         return tuple(arrived)
 
     def command(self, target: AttitudeTarget, now_s: float) -> None:
-        self.setpoint_s = now_s
+        self.target, self.setpoint_s = target, now_s
         self._to_autopilot.append((now_s + self._setpoint_delay_s, setpoint_of(self.autopilot.kind, target)))
 
     def request(self, request: AutopilotRequest, now_s: float) -> None:
