@@ -204,17 +204,31 @@ def _entry(fleet: FleetConfig, own_id: int) -> FormationEntry:
 def safety_filter_of(fleet: FleetConfig, own_id: int) -> SafetyFilter:
     """The safety filter of a vehicle of this fleet."""
     envelope = output_limits_of(fleet)
-    tan_max_tilt = tan(envelope.max_tilt_rad)
-    braking_m_s2, speeds = PLANNED_SHARE * GRAVITY_M_S2 * tan_max_tilt, fleet.envelope
-    settings = SeparationSettings(own_id, fleet.separation_m, braking_m_s2, fleet.peers.max_age_s, speeds.max_speed_m_s)
-    vertical_m_s2 = PLANNED_SHARE * GRAVITY_M_S2 * min(1.0 - envelope.min_thrust_ratio, envelope.max_thrust_ratio - 1.0)
-    limit = SpeedLimit(speeds.max_speed_m_s, speeds.max_climb_m_s, speeds.max_descent_m_s)
-    return SafetyFilter(
-        settings,
-        Bounds(fleet.airspace, limit, braking_m_s2, vertical_m_s2, fleet.takeoff_height_m),
-        AccelerationLimits.of_envelope(tan_max_tilt, envelope.min_thrust_ratio, envelope.max_thrust_ratio),
-        law_of(fleet.law).gains,
+    limits = AccelerationLimits.of_envelope(
+        tan(envelope.max_tilt_rad), envelope.min_thrust_ratio, envelope.max_thrust_ratio
     )
+    return SafetyFilter(separation_settings_of(fleet, own_id), bounds_of(fleet), limits, law_of(fleet.law).gains)
+
+
+def bounds_of(fleet: FleetConfig) -> Bounds:
+    """Airspace and speed limits of a fleet, for each vehicle of it."""
+    speeds, braking_m_s2 = fleet.envelope, separation_settings_of(fleet, 0).braking_m_s2
+    limit = SpeedLimit(speeds.max_speed_m_s, speeds.max_climb_m_s, speeds.max_descent_m_s)
+    return Bounds(fleet.airspace, limit, braking_m_s2, vertical_braking_m_s2(fleet), fleet.takeoff_height_m)
+
+
+def separation_settings_of(fleet: FleetConfig, own_id: int) -> SeparationSettings:
+    """What a vehicle of this fleet keeps from others, and how it brakes before them."""
+    braking_m_s2 = PLANNED_SHARE * GRAVITY_M_S2 * tan(output_limits_of(fleet).max_tilt_rad)
+    return SeparationSettings(
+        own_id, fleet.separation_m, braking_m_s2, fleet.peers.max_age_s, fleet.envelope.max_speed_m_s
+    )
+
+
+def vertical_braking_m_s2(fleet: FleetConfig) -> float:
+    """The vertical acceleration with which a vehicle of this fleet plans to brake."""
+    envelope = output_limits_of(fleet)
+    return PLANNED_SHARE * GRAVITY_M_S2 * min(1.0 - envelope.min_thrust_ratio, envelope.max_thrust_ratio - 1.0)
 
 
 def _setpoint(

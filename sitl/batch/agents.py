@@ -16,7 +16,8 @@ from companion.types.values import GRAVITY_M_S2
 from sitl.autopilots.autopilot import DT_S
 from sitl.autopilots.types import hover_thrust_norm
 from sitl.batch.bodies import quaternion_of_euler
-from sitl.batch.columns import BoolArray, Columns
+from sitl.batch.columns import BoolArray, Columns, IntArray
+from sitl.batch.filter import BatchFilter, KeptOffSlots
 from sitl.batch.laws import BatchLaws, References
 from sitl.batch.packets import (
     ACCELERATION,
@@ -60,6 +61,8 @@ class Agents:
         packets[PRC] = self._first_prcs()
         packets[SHARE] = laws.shares(packets[PRC], slice(0, columns.count))
         self._packets = Packets(scenarios, columns, candidates, packets)
+        self._filter = BatchFilter(scenarios, columns, laws.slot_enu_m, telemetry)
+        self._kept_off = KeptOffSlots(scenarios, columns)
 
     def targets(self, group: slice) -> FloatArray:
         """The last commanded targets: (5, G) quaternion and thrust."""
@@ -77,12 +80,22 @@ class Agents:
         weighted_sum, has_neighbours = _weighted_sum(used, packets, shares)
         leaders, reference = self._references.leaders[phase], self._references.at(phase, reference_s)
         hold_m = self._hold_altitude_m
-        acceleration = laws.acceleration(group, own, hold_m, weighted_sum, has_neighbours, leaders, reference)
+        wanted = laws.acceleration(group, own, hold_m, weighted_sum, has_neighbours, leaders, reference)
+        acceleration = wanted.copy()
         self._commands.limit(acceleration, group)
+        changed = self._filter.step(tick, group, telemetry, wanted, acceleration)
+        if changed.places.size:
+            self._commands.limit(changed.acceleration_enu_m_s2, group.start + changed.places)
+            acceleration[:, changed.places] = changed.acceleration_enu_m_s2
         sent = np.empty((WIDTH, prcs.size))
         sent[:6], sent[ACCELERATION], sent[PRC] = own, acceleration, prcs
         sent[SHARE] = laws.shares(prcs, group)
-        self._packets.send(tick, group, sent)
+        self._filter.send(tick, group, telemetry, acceleration)
+        target = np.where(has_neighbours, weighted_sum, np.nan)
+        target[:, leaders] = reference
+        kept_off, rft = self._kept_off.published(tick, group, changed, own, target)
+        sent[:9, kept_off] = rft
+        self._packets.send(tick, group, sent, own)
         return self._commands.admitted(acceleration, telemetry[6], telemetry[7], group)
 
     def relation(self) -> BoolArray:
@@ -179,8 +192,8 @@ class AttitudeCommands:
         all_columns = slice(0, self._yaw_rad.size)
         self._last = self._within_limits(np.stack([euler_rad[0], euler_rad[1], self.hover_norm / share]), all_columns)
 
-    def limit(self, acceleration: FloatArray, group: slice) -> None:
-        """limit_acceleration on (3, G), in place."""
+    def limit(self, acceleration: FloatArray, group: slice | IntArray) -> None:
+        """limit_acceleration on (3, G), in place, of a group or of these columns."""
         lift = np.clip(acceleration[2] + GRAVITY_M_S2, self._least_lift[group], self._most_lift[group])
         level = np.hypot(acceleration[0], acceleration[1])
         most = lift * self._tan_tilt[group]

@@ -104,7 +104,7 @@ def _check(scenarios: Sequence[Scenario]) -> None:
         raise ValueError(f"all formations of a batch need the same kind of attitude control; these have {kinds}")
 
 
-SENSORS, GUSTS, LINKS = 1, 2, 3  # subjects: switching gusts on does not change the sensor noise
+SENSORS, GUSTS, LINKS, LINKS_TO_ALL = 1, 2, 3, 4  # subjects: switching gusts on does not change the sensor noise
 
 
 class Gaussians:

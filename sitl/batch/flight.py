@@ -1,12 +1,11 @@
 """Flight of B formations of n vehicles at once.
 
-The model is that of lockstep: the same bodies, loops, delays, law and output limits, 250 physics steps per second, and one tick
-of every agent in each telemetry period, at the phase of that vehicle. It starts in formation: the vehicles hover over their
-starts, have fresh packets and settled PrCs, and fly the law from t = 0.
+The model is that of lockstep: the same bodies, loops, delays, law, separation filter and output limits, 250 physics steps per
+second, and one tick of every agent in each telemetry period, at the phase of that vehicle. It starts in formation: the vehicles
+hover over their starts, have fresh packets and settled PrCs, and fly the law from t = 0.
 
-It leaves out take-off and landing, the ground, the fence, leader changes, the failsafe for a stale leader beacon, and the
-plausibility checks of peers (such as `peers.max_speed_m_s`). Delays are exact to the step. Random numbers differ from those
-of lockstep but have the same distributions.
+`LEFT_OUT` says what it leaves out. Delays are exact to the step. Random numbers differ from those of lockstep but have the
+same distributions.
 """
 
 from __future__ import annotations
@@ -28,6 +27,18 @@ from sitl.flight.files import ids_of
 from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
 
+# What differs from a flight of the agents, for whoever reads figures of a batch.
+LEFT_OUT = (
+    "It begins in formation: no take-off, no paths into the slots, no landing.",
+    "Leader, slots and reference stay as they are; the formation does not turn.",
+    "No failsafe acts, and no state of a peer is refused as implausible.",
+    "Wind and thrust errors are not estimated, and velocities not corrected (law.disturbance_bandwidth_1_s and"
+    " law.velocity_correction_1_s).",
+    "All vehicles receive all others at 50 Hz (peers.full_rate_up_to); a vehicle that loses the range to all neighbours gets no"
+    " other one instead.",
+    "The separation filter does not keep off a vehicle that was not heard for peers.max_age_s, nor traffic.",
+    "Yaw stays as it was.",
+)
 PROGRESS_EVERY_S = 1.0  # of virtual time
 
 

@@ -23,7 +23,8 @@ from sitl.flight.files import ids_of
 from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
 
-# Fields of a packet: position minus slot [m], velocity [m/s], acceleration command [m/s^2], PrC, and p^-alpha.
+# Fields of a packet: position minus slot [m], velocity [m/s], acceleration command [m/s^2], or the RFT of a vehicle that is
+# kept off its slot; PrC, and p^-alpha.
 REDUCED_POSITION, VELOCITY, ACCELERATION, PRC, SHARE, WIDTH = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, 11
 
 
@@ -52,47 +53,65 @@ class ReceivedPackets:
         return ReceivedPackets(indices, fresh, age_s)
 
 
-class Packets:
-    """A ring of all packets that may still be used. Ticks count from 0; before that every vehicle sent its start."""
+class Reception:
+    """Which packet is the newest that each vehicle has received from each candidate, as a place in a ring of `kept` ticks.
+
+    Ticks count from 0; before that every vehicle sent its start.
+    """
 
     def __init__(
-        self, scenarios: Sequence[Scenario], columns: Columns, candidates: Candidates, start: FloatArray
+        self, scenarios: Sequence[Scenario], columns: Columns, candidates: Candidates, subject: int = LINKS
     ) -> None:
-        """`start` (WIDTH, B n) holds the packets of all vehicles before the first tick."""
+        """`subject` is of the random numbers."""
         self._count = columns.count
         self._valid, self._sender = candidates.valid, candidates.sender
         delay = columns.spread([scenario.links.peer_delay_s / PERIOD_S for scenario in scenarios])[:, None]
         phase = columns.phase_steps / TELEMETRY_STEPS
         ticks_late = phase[candidates.sender] - phase[:, None] + delay
-        self._lag = lag = ticks_until_use(ticks_late)
+        self.lag = lag = ticks_until_use(ticks_late)
         waits = lag - ticks_late > PREPARED_S / PERIOD_S + ROUND_TICKS
         self._since_receipt_s = np.where(waits, PREPARED_S, 0.0)
         jitter_s = max(scenario.links.peer_jitter_s for scenario in scenarios)
         is_random = jitter_s > 0.0 or any(scenario.links.peer_loss > 0.0 for scenario in scenarios)
-        self._arrivals = LinkArrivals(scenarios, columns, candidates.valid, ticks_late) if is_random else None
+        self._arrivals = LinkArrivals(scenarios, columns, candidates.valid, ticks_late, subject) if is_random else None
         oldest_s = max(scenario.fleet.peers.max_age_s for scenario in scenarios) + jitter_s if is_random else 0.0
-        self._kept = int(lag.max()) + ceil(oldest_s / PERIOD_S) + 3
-        self._ring = np.broadcast_to(start.T, (self._kept, columns.count, WIDTH)).reshape(-1, WIDTH).copy()
-        self._motions = self._ring[:, :6].copy()  # positions and velocities alone, for the range rule
-        self._first_index = (-lag % self._kept) * columns.count + candidates.sender
+        self.kept = int(lag.max()) + ceil(oldest_s / PERIOD_S) + 3
+        self._first_index = (-lag % self.kept) * columns.count + candidates.sender
 
-    def send(self, tick: int, group: slice, packets: FloatArray) -> None:
-        """Store the packets (WIDTH, G) of these columns."""
-        begin = tick % self._kept * self._count
-        self._ring[begin + group.start : begin + group.stop] = packets.T
-        self._motions[begin + group.start : begin + group.stop] = packets[:6].T
+    def places(self, tick: int, group: slice) -> slice:
+        """Where the packets of these columns belong in the ring."""
+        begin = tick % self.kept * self._count
+        return slice(begin + group.start, begin + group.stop)
 
     def receive(self, tick: int, group: slice) -> ReceivedPackets:
         """The newest packets of this group in this tick."""
         if self._arrivals is None:
-            indices = self._first_index[group] + tick % self._kept * self._count
+            indices = self._first_index[group] + tick % self.kept * self._count
             return ReceivedPackets(indices, self._valid[group], self._since_receipt_s[group])
         newest = self._arrivals.newest(tick, group)
-        ages_ticks = tick - newest - self._lag[group]
-        indices = newest % self._kept * self._count + self._sender[group]
+        ages_ticks = tick - newest - self.lag[group]
+        indices = newest % self.kept * self._count + self._sender[group]
         fresh = self._arrivals.fresh(ages_ticks, group) & self._valid[group]
         age_s = np.multiply(ages_ticks, PERIOD_S, dtype=np.float64) + self._since_receipt_s[group]
         return ReceivedPackets(indices, fresh, age_s)
+
+
+class Packets:
+    """A ring of all packets that may still be used."""
+
+    def __init__(
+        self, scenarios: Sequence[Scenario], columns: Columns, candidates: Candidates, start: FloatArray
+    ) -> None:
+        """`start` (WIDTH, B n) holds the packets of all vehicles before the first tick."""
+        self._reception = reception = Reception(scenarios, columns, candidates)
+        self.receive = reception.receive
+        self._ring = np.tile(start.T, (reception.kept, 1))
+        self._motions = self._ring[:, :6].copy()  # positions and velocities alone, for the range rule
+
+    def send(self, tick: int, group: slice, packets: FloatArray, motions: FloatArray) -> None:
+        """Store the packets (WIDTH, G) of these columns, and the positions and velocities (6, G) for the range rule."""
+        places = self._reception.places(tick, group)
+        self._ring[places], self._motions[places] = packets.T, motions.T
 
     def packets(self, received: ReceivedPackets) -> FloatArray:
         """Packets (G, K, WIDTH)."""
@@ -113,7 +132,7 @@ class LinkArrivals:
     """Arrival times on all links (B n, K), receiver by candidate. Ticks count from 0; earlier packets arrived in time."""
 
     def __init__(
-        self, scenarios: Sequence[Scenario], columns: Columns, valid: BoolArray, ticks_late: FloatArray
+        self, scenarios: Sequence[Scenario], columns: Columns, valid: BoolArray, ticks_late: FloatArray, subject: int
     ) -> None:
         """`ticks_late` (B n, K): delay of a packet without jitter after the receiver's tick of the same number."""
         links = [scenario.links for scenario in scenarios]
@@ -131,7 +150,7 @@ class LinkArrivals:
         self._widths: list[int] = widths.tolist()  # a formation draws as many numbers in any batch
         is_random = [link.peer_loss > 0.0 or link.peer_jitter_s > 0.0 for link in links]
         self._generators = [
-            np.random.default_rng([s.stand_in.seed, LINKS]) if random else None
+            np.random.default_rng([s.stand_in.seed, subject]) if random else None
             for s, random in zip(scenarios, is_random, strict=True)
         ]
 
@@ -203,6 +222,21 @@ def candidates_of(scenarios: Sequence[Scenario], columns: Columns) -> Candidates
         valid=valid.reshape(-1, most)[columns.order],
         join_m=ranges[:, 0],
         leave_m=ranges[:, 1],
+    )
+
+
+def everyone_of(columns: Columns) -> Candidates:
+    """All others of each formation, whoever is a neighbour of whom."""
+    n = columns.vehicles
+    others = np.array([[j for j in range(n) if j != i] or [i] for i in range(n)], dtype=np.int64)
+    first = np.arange(columns.formations, dtype=np.int64) * n
+    sender = (first[:, None, None] + others).reshape(columns.count, -1)
+    anywhere = np.full(columns.count, np.inf)
+    return Candidates(
+        sender=columns.column_of[sender[columns.order]],
+        valid=np.full(sender.shape, n > 1),
+        join_m=anywhere,
+        leave_m=anywhere,
     )
 
 

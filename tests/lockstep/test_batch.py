@@ -14,8 +14,9 @@ from common import ROOT
 from companion.analysis.interaction import FloatArray
 from companion.types.flight import Role
 from sitl.autopilots.autopilot import DT_S
-from sitl.batch.flight import BatchStart, fly_batch
-from sitl.batch.metrics import batch_figures
+from sitl.batch.filter import BatchFilter, ChangedVehicles
+from sitl.batch.flight import BatchFlight, BatchStart, fly_batch
+from sitl.batch.metrics import BatchFigures, batch_figures
 from sitl.flight.lockstep import TELEMETRY_STEPS, phase_steps
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.virtual_flight import Flown, fly_without_landing
@@ -35,6 +36,18 @@ SIDEWAYS_AND_UP = "reference.point_enu_m=[1.0, 3.0, 1.5]"
 BY_THE_LAW = (
     "fleet.slot_speed_m_s=5"  # else the vehicles fly paths to a reference that is metres away; the batch has none
 )
+# Starts and steps in which the separation filter surely acts. The law alone flies them, as in a batch.
+LAW_FAR = "fleet.slot_speed_m_s=40"
+EXCHANGED = ("starts_enu_m.2=[-3.0, 0.0, 0.0]", "starts_enu_m.3=[-1.5, 0.0, 0.0]", LAW_FAR)
+CROSSING = (
+    "fleet.vehicles=[{id: 1, role: leader, slot_enu_m: [0, 0, 0]}, {id: 2, role: follower, slot_enu_m: [0, -3, 0]},"
+    " {id: 3, role: follower, slot_enu_m: [-3, -3, 0]}, {id: 4, role: follower, slot_enu_m: [-3, 0, 0]}]",
+    "starts_enu_m={1: [-3, -3, 0], 2: [-3, 0, 0], 3: [0, 0, 0], 4: [0, -3, 0]}",
+    "fleet.separation_m=2.0",
+    LAW_FAR,
+)
+TOO_FAST = ("reference.point_enu_m=[6.0, -4.0, 1.0]", LAW_FAR)
+FIGURES_WITHIN, ERRORS_WITHIN_M = 0.05, 0.002
 
 
 @cache
@@ -91,6 +104,7 @@ def apart_m(*overrides: str) -> FloatArray:
         (),
         (COOPERATIVE, "links.peer_delay_s=0.05"),
         ("links.telemetry_delay_s=0.01", "links.setpoint_delay_s=0.013"),
+        (COOPERATIVE, *EXCHANGED),
         (COOPERATIVE, SIDEWAYS_AND_UP, BY_THE_LAW, "fleet.neighbours={kind: range, range_m: 2.0, hysteresis_m: 0.2}"),
         *(
             pytest.param(overrides, marks=pytest.mark.long)
@@ -111,6 +125,49 @@ def apart_m(*overrides: str) -> FloatArray:
 )
 def test_the_batch_equals_lockstep_with_ideal_sensors(overrides: tuple[str, ...]) -> None:
     assert apart_m(*overrides).max() <= TOLERANCE_M
+
+
+def figures_of(*overrides: str) -> tuple[BatchFigures, BatchFigures]:
+    """Figures of one scenario in the batch and in lockstep."""
+    scenario, flown = scenario_of(*overrides), in_lockstep(*overrides)
+    begin_s = began_s(scenario, flown)
+    batch = fly_batch([scenario], FLOWN_S, start=start_of(scenario, flown, begin_s))
+    positions = positions_m(flown, begin_s + batch.times_s)[:, None].astype(np.float32)
+    lockstep = BatchFlight(batch.times_s, positions, batch.slots_enu_m, batch.reference_enu_m, None)
+    return batch_figures(batch), batch_figures(lockstep)
+
+
+def agree(batch: BatchFigures, lockstep: BatchFigures) -> bool:
+    """Whether settling time, smallest and largest distance and final error do, within 5 %."""
+    figures = [(a.settle_s, a.smallest_distance_m, a.largest_distance_m, a.final_error_m) for a in (batch, lockstep)]
+    one, other = np.array(figures)
+    return bool(np.allclose(one, other, rtol=FIGURES_WITHIN, atol=ERRORS_WITHIN_M, equal_nan=True))
+
+
+# A vehicle counts as kept off for whole ticks, and rounding ends that a tick sooner or later: from then on flights under the
+# paper's law differ by millimetres.
+FILTERED = [
+    (COOPERATIVE, *EXCHANGED),
+    (COOPERATIVE, *CROSSING),
+    TOO_FAST,
+    *(
+        pytest.param(overrides, marks=pytest.mark.long)
+        for overrides in (EXCHANGED, (COOPERATIVE, *EXCHANGED, "fleet.law.altitude=hold"))
+    ),
+]
+
+
+@pytest.mark.parametrize("overrides", FILTERED, ids=" ".join)
+def test_figures_equal_those_of_lockstep_where_the_filter_acts(overrides: tuple[str, ...]) -> None:
+    assert agree(*figures_of(*overrides))
+
+
+@pytest.mark.parametrize("overrides", FILTERED, ids=" ".join)
+def test_without_the_filter_the_figures_differ(overrides: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The comparison is sensitive."""
+    nobody = ChangedVehicles(np.zeros(0, dtype=np.int64), np.zeros((3, 0)), np.zeros(0))
+    monkeypatch.setattr(BatchFilter, "step", lambda *_: nobody)
+    assert not agree(*figures_of(*overrides))
 
 
 def test_links_break_and_return_in_one_of_the_scenarios() -> None:

@@ -11,7 +11,16 @@ from msgspec.structs import replace
 
 from companion.core.consensus.law import Gains
 from companion.core.consensus.peers import PeerState
-from companion.core.filter.motion import KEPT_S, SPEED_MARGIN_RATIO, Ahead, Motions, Silence, Traffic, traffic_nearby
+from companion.core.filter.motion import (
+    KEPT_S,
+    NO_ERROR,
+    SPEED_MARGIN_RATIO,
+    Ahead,
+    Motions,
+    Silence,
+    Traffic,
+    traffic_nearby,
+)
 from companion.core.filter.pressure import Pressure
 from companion.core.filter.solver import (
     MOST_STEPS,
@@ -23,6 +32,7 @@ from companion.core.filter.solver import (
 )
 from companion.core.filter.vehicles import (
     ALONE_SHARE,
+    Barrier,
     Separation,
     SeparationSettings,
     largest_removed_m_s2,
@@ -41,6 +51,7 @@ from companion.types.values import Vector3
 # Active-set steps where another vehicle presses for long, or the column below a silent one is near: they contradict fence,
 # limits and each other.
 CONTRADICTED_STEPS = 15
+NOTHING_SEEN = SeparationReport()
 WORSE_M_S2 = 1.0  # a turn may miss the constraints of a rank by so much more
 TURN_STEPS = 3  # active-set steps for the second solution, with the turn to the right
 
@@ -103,41 +114,62 @@ class SafetyFilter:
         others = motions.peers(now_s, vehicle, slot is not None, peers, fresh)
         if self.traffic:
             others += traffic_nearby(now_s, vehicle, self.traffic)
-        barriers = separation.barriers(ahead, vehicle.position_error, slot, others)
-        steps = MOST_STEPS
-        if len(fresh) < len(peers) and (
-            below := separation.barriers_below(ahead, vehicle.position_error, slot, others)
-        ):
-            barriers += below
-            steps = CONTRADICTED_STEPS
-        pressure, acting = self._pressure, barriers
-        if pressure.pressing and pressure.lasts:
-            acting, steps = pressure.bounded(barriers), CONTRADICTED_STEPS
+        error = vehicle.position_error or NO_ERROR
+        barriers = [separation.barrier(ahead, error, slot, other) for other in others]
+        if len(fresh) < len(peers):
+            barriers += separation.barriers_below(ahead, error, slot, others)
         slowed, speed = self._bounds.limit_speed(ahead, wanted_enu_m_s2)
         # The speed limit is among the constraints, too: what the filter adds must not exceed it.
-        constraints = [barrier.constraint for barrier in acting]
-        constraints += [b.constraint_without_margins for b in acting if b.constraint_without_margins]
-        constraints += self._bounds.constraints(ahead, vehicle.ground_position_enu_m)
-        constraints += speed
-        limits = replace(self._limits, disturbance_enu_m_s2=disturbance_enu_m_s2)
-        allowed = filter_acceleration(slowed, constraints, limits, steps)
-        nearest, violated = None, False
+        bounds = self._bounds.constraints(ahead, vehicle.ground_position_enu_m) + speed
+        seen = NOTHING_SEEN
         if barriers:
             nearest, violated = nearest_and_violated(now_s, vehicle, barriers, separation.separation_m)
-        if allowed is wanted_enu_m_s2 and not self._pressure.pressing:
-            return Filtered(allowed, SeparationReport(nearest, 0.0, violated))
+            seen = SeparationReport(nearest, 0.0, violated)
+        return self.allowed(now_s, vehicle, barriers, bounds, wanted_enu_m_s2, slowed, disturbance_enu_m_s2, seen)
+
+    @property
+    def is_pressed(self) -> bool:
+        """Whether another vehicle has pressed this one for a while: then a tick counts in which nothing is changed, too."""
+        return bool(self._pressure.pressing)
+
+    def allowed(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        barriers: list[Barrier],
+        bounds: list[Constraint],
+        wanted_enu_m_s2: Vector3,
+        slowed_enu_m_s2: Vector3,
+        disturbance_enu_m_s2: Vector3,
+        seen: SeparationReport,
+    ) -> Filtered:
+        """What these barriers and bounds leave of the acceleration.
+
+        `slowed_enu_m_s2` is the wanted one within the speed limits. Barriers below come last. `seen`: what else is reported.
+        """
+        pressure, acting = self._pressure, barriers
+        steps = CONTRADICTED_STEPS if barriers and barriers[-1].below else MOST_STEPS
+        if pressure.pressing and pressure.lasts:
+            acting, steps = pressure.bounded(barriers), CONTRADICTED_STEPS
+        constraints = [barrier.constraint for barrier in acting]
+        constraints += [b.constraint_without_margins for b in acting if b.constraint_without_margins]
+        constraints += bounds
+        limits = replace(self._limits, disturbance_enu_m_s2=disturbance_enu_m_s2)
+        allowed = filter_acceleration(slowed_enu_m_s2, constraints, limits, steps)
+        if allowed is wanted_enu_m_s2 and not pressure.pressing:
+            return Filtered(allowed, seen)
         removed_m_s2 = 0.0
         if barriers:
-            removed_m_s2 = largest_removed_m_s2(slowed, acting)
+            removed_m_s2 = largest_removed_m_s2(slowed_enu_m_s2, acting)
             turned_from = [barrier for barrier in acting if barrier.constraint[4] is not UNSHAKEN]
-            turn_x, turn_y = turn_right(slowed, vehicle.velocity_enu_m_s, self._gains, turned_from)
+            turn_x, turn_y = turn_right(slowed_enu_m_s2, vehicle.velocity_enu_m_s, self._gains, turned_from)
             if turn_x or turn_y:
                 x, y, z = allowed
                 turned = filter_acceleration((x + turn_x, y + turn_y, z), constraints, limits, TURN_STEPS)
                 allowed = better_kept(turned, allowed, constraints)
-        self._pressure.step(now_s, vehicle, barriers, constraints, allowed)
-        changed_m_s2, unshaken = dist(allowed, wanted_enu_m_s2), self._pressure.unshaken
-        return Filtered(allowed, SeparationReport(nearest, changed_m_s2, violated, unshaken), removed_m_s2)
+        pressure.step(now_s, vehicle, barriers, constraints, allowed)
+        report = SeparationReport(seen.nearest, dist(allowed, wanted_enu_m_s2), seen.violated, pressure.unshaken)
+        return Filtered(allowed, report, removed_m_s2)
 
 
 def better_kept(turned: Vector3, allowed: Vector3, constraints: Sequence[Constraint]) -> Vector3:

@@ -104,8 +104,7 @@ class Pressure:
         onwards_enu_m_s = ZERO3 if any(rank in PLACES for rank in overrides) else vehicle.velocity_enu_m_s
         pressing: dict[int | str, _Pressing] = {}
         for barrier in barriers:
-            if not barrier.below:
-                now = self._now(now_s, vehicle, barrier, bool(overrides), flown_enu_m_s2)
+            if not barrier.below and (now := self._now(now_s, vehicle, barrier, bool(overrides), flown_enu_m_s2)):
                 pressing[barrier.other.key] = replace(now, onwards_enu_m_s=onwards_enu_m_s)
         for key in [*pressing, *(key for key in self.pressing if key not in pressing)]:
             after = _after(self.pressing.get(key), pressing.get(key), elapsed_s)
@@ -116,22 +115,25 @@ class Pressure:
 
     def _now(
         self, now_s: float, vehicle: VehicleState, barrier: Barrier, overrides: bool, flown_enu_m_s2: Vector3
-    ) -> _Pressing:
-        """What this vehicle does in this tick."""
+    ) -> _Pressing | None:
+        """What this vehicle does in this tick; None of one that does not press and has not."""
         asked, before = barrier.constraint_without_margins or barrier.constraint, self.pressing.get(barrier.other.key)
-        apart_m, short_m_s2 = _apart_m(now_s, vehicle, barrier), _short_m_s2(asked, flown_enu_m_s2)
+        short_m_s2 = _short_m_s2(asked, flown_enu_m_s2)
         # What is flown along the normal is what is asked less what is missed of it.
-        flees = apart_m < ON_TOP_RATIO * self._separation_m and asked[3] - short_m_s2 > FLEES_M_S2
+        flees = asked[3] - short_m_s2 > FLEES_M_S2
+        binds = overrides and short_m_s2 > -BINDING_M_S2
+        if before is None and not flees and not binds:
+            return None
+        apart_m = _apart_m(now_s, vehicle, barrier)
+        flees = flees and apart_m < ON_TOP_RATIO * self._separation_m
         if before is not None and before.unshaken:
-            presses = flees or short_m_s2 > BINDING_M_S2
-        else:
-            presses = flees or (overrides and short_m_s2 > -BINDING_M_S2)
+            binds = short_m_s2 > BINDING_M_S2
         within = apart_m < self._separation_m
         return _Pressing(
             used_s=LEAST_S,
             fled_s=0.0,
             unshaken=False,
-            presses=presses,
+            presses=flees or binds,
             flees=flees,
             within=within,
             since_s=now_s,

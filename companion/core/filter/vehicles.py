@@ -36,7 +36,7 @@ from math import hypot, inf, sqrt
 from msgspec import Struct
 
 from companion.core.consensus.law import Gains
-from companion.core.filter.motion import LAG_S, NO_ERROR, Ahead, Motion, Other, Silence, column_m, nearest_on_way
+from companion.core.filter.motion import LAG_S, Ahead, Motion, Other, Silence, column_m, nearest_on_way
 from companion.core.filter.solver import MARGIN, VEHICLE, Constraint
 from companion.geometry.curves import approach_speed
 from companion.types.autopilot import PositionError, VehicleState
@@ -113,23 +113,18 @@ class Separation:
         self._close_m = SIDEWAYS_RATIO * settings.separation_m
         self._sideways: dict[int | str, tuple[float, float]] = {}  # the direction to leave each close vehicle by
 
-    def barriers(
-        self, ahead: Ahead, own: PositionError | None, slot: FlownSlot | None, others: Iterable[Other]
-    ) -> list[Barrier]:
-        """A barrier for each of these vehicles. `own` error and `slot` are of this one; no slot outside formation."""
-        error = own or NO_ERROR
-        return [self._barrier(ahead, error, slot, other) for other in others]
-
     def barriers_below(
-        self, ahead: Ahead, own: PositionError | None, slot: FlownSlot | None, others: Iterable[Other]
+        self, ahead: Ahead, error: PositionError, slot: FlownSlot | None, others: Iterable[Other]
     ) -> list[Barrier]:
         """A further barrier for each silent vehicle that may land and is above this one."""
-        error = own or NO_ERROR
         below = [self._below(ahead, error, slot, other, other.silence) for other in others if other.silence]
         return [barrier for barrier in below if barrier is not None]
 
-    def _barrier(self, ahead: Ahead, error: PositionError, slot: FlownSlot | None, other: Other) -> Barrier:
-        """The constraint n . u >= a that keeps h' >= -k h, in coordinates whose height is weighted."""
+    def barrier(self, ahead: Ahead, error: PositionError, slot: FlownSlot | None, other: Other) -> Barrier:
+        """The constraint n . u >= a that keeps h' >= -k h, in coordinates whose height is weighted.
+
+        `error` and `slot` are of this vehicle; no slot outside formation.
+        """
         (x, y, z), (wx, wy, wz) = ahead.position_enu_m, ahead.velocity_enu_m_s
         weight, slot_of_other = other.height_weight, other.slot
         if other.silence is None:

@@ -1,0 +1,278 @@
+"""companion.core.filter in formation, for many vehicles, and the RFT of those that it keeps off their slots.
+
+Arrays find the vehicles whose acceleration the filter may change: their own violates a constraint of another vehicle, of the
+airspace or of a speed. For these alone the filter of the core decides, with all constraints that may matter to it.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import inf
+
+import numpy as np
+
+from companion.analysis.interaction import FloatArray
+from companion.assembly import bounds_of, safety_filter_of, separation_settings_of, vertical_braking_m_s2
+from companion.core.consensus.law import FormationState, KeptOff
+from companion.core.filter.filter import (
+    BOUNDARY_RESPONSE_1_S,
+    FASTEST_RETURN_M_S,
+    FLOOR_M,
+    NOTHING_SEEN,
+    SLOPE_1_S,
+    SPEED_RESPONSE_1_S,
+    STILL_M_S,
+    Bounds,
+    Filtered,
+    SafetyFilter,
+)
+from companion.core.filter.motion import Ahead, Other
+from companion.core.filter.solver import MET_M_S2, NEVER_ACTIVE_M_S2, VEHICLE
+from companion.core.filter.vehicles import Barrier, Separation
+from companion.geometry.formations import HEIGHT_WEIGHT
+from companion.types.autopilot import VehicleState
+from companion.types.formation import FlownSlot
+from companion.types.values import ZERO3, Vector3
+from sitl.autopilots.autopilot import DT_S
+from sitl.batch.columns import BoolArray, Columns, IntArray
+from sitl.batch.nearby import AskedOfPairs, BatchSeparation, Moving, Nearby, Pairs, approach_speeds, position_error_of
+from sitl.flight.files import ids_of
+from sitl.flight.lockstep import TELEMETRY_STEPS
+from sitl.flight.scenario import Scenario
+
+MET = 0.5 * MET_M_S2  # a violation by less is none in the core either, however the sums are rounded
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedVehicles:
+    """The vehicles of a group that the filter looked at (C,): their accelerations (3, C), and what others removed (C,)."""
+
+    places: IntArray
+    acceleration_enu_m_s2: FloatArray
+    removed_m_s2: FloatArray
+
+
+class BatchFilter:
+    """The filters of all vehicles of a batch."""
+
+    def __init__(
+        self, scenarios: Sequence[Scenario], columns: Columns, slot_enu_m: FloatArray, telemetry: FloatArray
+    ) -> None:
+        """`slot_enu_m` is (3, B n), `telemetry` (9, B n)."""
+        self._nearby = Nearby(scenarios, columns, telemetry)
+        self._separation = BatchSeparation(scenarios, columns, slot_enu_m)
+        self._bounds = BatchBounds(scenarios, columns)
+        self._singles = Singles(scenarios, columns, slot_enu_m)
+        self._pressed = np.zeros(columns.count, dtype=np.bool_)
+
+    def step(
+        self, tick: int, group: slice, telemetry: FloatArray, wanted_enu_m_s2: FloatArray, possible_enu_m_s2: FloatArray
+    ) -> ChangedVehicles:
+        """`wanted_enu_m_s2` (3, G), and what tilt and thrust leave of it."""
+        moving, heard = self._nearby.moving(group, telemetry), self._nearby.heard(tick, group)
+        most_m_s2 = np.sqrt(np.square(wanted_enu_m_s2).sum(axis=0))  # tilt and thrust only shorten it
+        looked_at = self._bounds.matter(group, moving, wanted_enu_m_s2, possible_enu_m_s2) | self._pressed[group]
+        pairs = self._nearby.pairs(group, heard, self._separation.may_ask(group, heard, moving, most_m_s2))
+        if pairs.place.size:
+            asked = self._separation.asked(pairs, moving)
+            looked_at[pairs.place[_violated(pairs, asked, wanted_enu_m_s2, possible_enu_m_s2)]] = True
+        places = np.flatnonzero(looked_at)
+        if not places.size:
+            return ChangedVehicles(places, np.zeros((3, 0)), np.zeros(0))
+        most_m_s2 = np.where(looked_at, np.maximum(most_m_s2, -NEVER_ACTIVE_M_S2), -np.inf)
+        pairs = self._nearby.pairs(
+            group, heard, self._separation.may_ask(group, heard, moving, most_m_s2) & looked_at[:, None]
+        )
+        asked = self._separation.asked(pairs, moving)
+        matters = (asked.least_m_s2 >= NEVER_ACTIVE_M_S2) | self._separation.within(pairs, moving)
+        matters |= _violated(pairs, asked, wanted_enu_m_s2, possible_enu_m_s2)
+        near = self._singles.near(pairs, asked, np.flatnonzero(matters))
+        flown, removed = np.empty((3, places.size)), np.empty(places.size)
+        rows = [moving.now, moving.position_enu_m, moving.velocity_enu_m_s, wanted_enu_m_s2]
+        states = np.concatenate(rows)[:, places].T.tolist()
+        for index, (place, state) in enumerate(zip(places.tolist(), states, strict=True)):
+            column = group.start + place
+            now_s = (tick * TELEMETRY_STEPS + self._singles.phase_steps[column]) * DT_S
+            filtered, self._pressed[column] = self._singles.filtered(column, now_s, state, near[place])
+            flown[:, index], removed[index] = filtered.acceleration_enu_m_s2, filtered.removed_accel_m_s2
+        return ChangedVehicles(places, flown, removed)
+
+    def send(self, tick: int, group: slice, telemetry: FloatArray, commanded_enu_m_s2: FloatArray) -> None:
+        """Publish what these vehicles do; their commands (3, G) are those within the limits."""
+        self._nearby.send(tick, group, telemetry[:6], commanded_enu_m_s2)
+
+
+def _violated(pairs: Pairs, asked: AskedOfPairs, wanted: FloatArray, possible: FloatArray) -> BoolArray:
+    """Whether one of these accelerations (3, G) violates what is asked (P,)."""
+    along = np.einsum("kp,kp->p", asked.normal, wanted[:, pairs.place])
+    np.minimum(along, np.einsum("kp,kp->p", asked.normal, possible[:, pairs.place]), out=along)
+    return np.asarray(asked.least_m_s2 - along > MET)
+
+
+class Singles:
+    """The filter of the core for each vehicle that ever needed it."""
+
+    def __init__(self, scenarios: Sequence[Scenario], columns: Columns, slot_enu_m: FloatArray) -> None:
+        ids = [ids_of(scenario) for scenario in scenarios]
+        self._scenarios, self._formation = scenarios, columns.formation.tolist()
+        self._ids = [ids[k // columns.vehicles][k % columns.vehicles] for k in columns.order.tolist()]
+        self._slots = [FlownSlot((x, y, z)) for x, y, z in slot_enu_m.T.tolist()]
+        self._errors = [position_error_of(scenario) for scenario in scenarios]
+        self._made: dict[int, _Single] = {}
+        self.phase_steps: list[int] = columns.phase_steps.tolist()
+
+    def near(self, pairs: Pairs, asked: AskedOfPairs, which: IntArray) -> dict[int, list[Barrier]]:
+        """The other vehicles of these pairs and what they ask, by the place of their vehicle in the group."""
+        near: dict[int, list[Barrier]] = defaultdict(list)
+        ids = (pairs.place[which].tolist(), pairs.own[which].tolist(), pairs.other[which].tolist())
+        lasts = np.vstack([pairs.last[:, which], pairs.age_s[which], pairs.formed[which]]).T.tolist()
+        rows = np.vstack([asked.normal[:, which], asked.least_m_s2[which], asked.margins_m[:, which]]).T.tolist()
+        for place, own, other, last, (nx, ny, nz, least, required_m, margin_m) in zip(*ids, lasts, rows, strict=True):
+            x, y, z, vx, vy, vz, ax, ay, az, age_s, formed = last
+            key = self._ids[other]
+            one = Other(
+                key,
+                ((x, y, z), (vx, vy, vz), (ax, ay, az)),
+                age_s,
+                None,
+                self._errors[self._formation[other]],
+                HEIGHT_WEIGHT,
+                self._slots[other] if formed else None,
+                makes_way=bool(formed),
+                side=1.0 if self._ids[own] < key else -1.0,
+            )
+            near[place].append(Barrier((nx, ny, nz, least, VEHICLE), one, ZERO3, required_m, margin_m))
+        return near
+
+    def filtered(self, column: int, now_s: float, state: list[float], near: list[Barrier]) -> tuple[Filtered, bool]:
+        """What the filter lets this vehicle fly, and whether another one presses it since.
+
+        `state` is its position, velocity, both after its lag, and the wanted acceleration.
+        """
+        x, y, z, vx, vy, vz, qx, qy, qz, wx, wy, wz, ux, uy, uz = state
+        single, error = self._of(column), self._errors[self._formation[column]]
+        ahead = Ahead((qx, qy, qz), (wx, wy, wz))
+        vehicle = VehicleState((x, y, z), (vx, vy, vz), now_s)
+        only_core = {barrier.other.key for barrier in near if barrier.constraint[3] == inf}
+        if by_core := single.close | only_core:
+            of, slot = single.separation.barrier, self._slots[column]
+            near = [of(ahead, error, slot, b.other) if b.other.key in by_core else b for b in near]
+            single.close = only_core
+        wanted = (ux, uy, uz)
+        slowed, speed = single.bounds.limit_speed(ahead, wanted)
+        bounds = single.bounds.constraints(ahead, single.ground_enu_m) + speed
+        safety_filter = single.safety_filter
+        allowed = safety_filter.allowed(now_s, vehicle, near, bounds, wanted, slowed, ZERO3, NOTHING_SEEN)
+        return allowed, safety_filter.is_pressed
+
+    def _of(self, column: int) -> _Single:
+        if column not in self._made:
+            scenario, own_id = self._scenarios[self._formation[column]], self._ids[column]
+            fleet, ground_enu_m = scenario.fleet, scenario.starts_enu_m[own_id]
+            separation = Separation(separation_settings_of(fleet, own_id))
+            self._made[column] = _Single(safety_filter_of(fleet, own_id), bounds_of(fleet), separation, ground_enu_m)
+        return self._made[column]
+
+
+@dataclass(slots=True)
+class _Single:
+    """`close` are those for which `separation` may keep a direction to leave them by."""
+
+    safety_filter: SafetyFilter
+    bounds: Bounds
+    separation: Separation
+    ground_enu_m: Vector3
+    close: set[int | str] = field(default_factory=set)
+
+
+class BatchBounds:
+    """Where the speed limits, the ground, the box of the fence or what else is in the airspace may matter."""
+
+    def __init__(self, scenarios: Sequence[Scenario], columns: Columns) -> None:
+        airspaces = [scenario.fleet.airspace for scenario in scenarios]
+        speeds = [scenario.fleet.envelope for scenario in scenarios]
+        starts = [[scenario.starts_enu_m[i] for i in ids_of(scenario)] for scenario in scenarios]
+        fences = np.array([[a.fence.min_enu_m, a.fence.max_enu_m] for a in airspaces], dtype=np.float64)
+        self._low_enu_m, self._high_enu_m = fences[columns.formation].transpose(1, 2, 0).copy()
+        floor_m = columns.spread(
+            [min(FLOOR_M, 0.5 * s.fleet.takeoff_height_m) - s.fleet.airspace.clearance_m for s in scenarios]
+        )
+        self._floor_m = columns.in_columns(np.array(starts, dtype=np.float64))[2] + floor_m
+        self._clearance_m = columns.spread([a.clearance_m for a in airspaces])
+        level = columns.spread([separation_settings_of(s.fleet, 0).braking_m_s2 for s in scenarios])
+        vertical = columns.spread([vertical_braking_m_s2(s.fleet) for s in scenarios])
+        self._braking_m_s2 = np.stack([level, level, vertical] * 2 + [vertical])
+        self._is_box = columns.spread([float(a.is_box) for a in airspaces]) > 0.0
+        self._level_m_s = columns.spread([e.max_speed_m_s for e in speeds])
+        self._climb_m_s = columns.spread([e.max_climb_m_s for e in speeds])
+        self._descent_m_s = columns.spread([e.max_descent_m_s for e in speeds])
+
+    def matter(self, group: slice, moving: Moving, wanted: FloatArray, possible: FloatArray) -> BoolArray:
+        """Whether they may for these accelerations (G,). Polygons and obstacles always may."""
+        position, velocity = moving.position_enu_m, moving.velocity_enu_m_s
+        gaps_m = np.concatenate(
+            [
+                position - self._low_enu_m[:, group],
+                self._high_enu_m[:, group] - position,
+                position[2:] - self._floor_m[group],
+            ]
+        )
+        rates_m_s = np.concatenate([velocity, -velocity, velocity[2:]])
+        speed_m_s, slope_1_s = approach_speeds(
+            gaps_m - self._clearance_m[group], self._braking_m_s2[:, group], SLOPE_1_S, FASTEST_RETURN_M_S
+        )
+        least_m_s2 = -BOUNDARY_RESPONSE_1_S * (rates_m_s + speed_m_s) - slope_1_s * rates_m_s
+        low, high = np.minimum(wanted, possible), np.maximum(wanted, possible)
+        along_m_s2 = np.concatenate([low, -high, low[2:]])
+        matter = (least_m_s2 - along_m_s2 > MET).any(axis=0)
+        matter |= self._too_fast(group, velocity, wanted) | self._too_fast(group, velocity, possible)
+        matter |= ~self._is_box[group]
+        return np.asarray(matter)
+
+    def _too_fast(self, group: slice, velocity: FloatArray, acceleration: FloatArray) -> BoolArray:
+        """Whether this acceleration exceeds what the speed limits allow at this velocity."""
+        up, level_m_s = velocity[2], np.hypot(velocity[0], velocity[1])
+        left = np.where(up > 0.0, self._climb_m_s[group] - up, self._descent_m_s[group] + up)
+        too_fast = np.where(up > 0.0, acceleration[2], -acceleration[2]) - SPEED_RESPONSE_1_S * left > MET
+        along = (velocity[:2] * acceleration[:2]).sum(axis=0)
+        left = SPEED_RESPONSE_1_S * (self._level_m_s[group] - level_m_s)
+        too_fast |= (level_m_s > STILL_M_S) & (along - left * level_m_s > MET * level_m_s)
+        return np.asarray(too_fast)
+
+
+class KeptOffSlots:
+    """The RFT that vehicles publish which the filter keeps off their slots."""
+
+    def __init__(self, scenarios: Sequence[Scenario], columns: Columns) -> None:
+        self._columns = columns
+        self._holds = columns.spread([scenario.fleet.law.altitude == "hold" for scenario in scenarios]) > 0.0
+        self._kept_off = [KeptOff() for _ in range(columns.count)]
+        self._is_kept_off = np.zeros(columns.count, dtype=np.bool_)
+
+    def published(
+        self, tick: int, group: slice, changed: ChangedVehicles, own: FloatArray, wanted: FloatArray
+    ) -> tuple[IntArray, FloatArray]:
+        """The vehicles of this group that publish an RFT, and these RFTs (9, C).
+
+        `own` (6, G): position minus slot, and velocity. `wanted` (9, G): the RFT that the law steers to, NaN without any.
+        """
+        removed = np.zeros(own.shape[1])
+        removed[changed.places] = changed.removed_m_s2
+        places: list[int] = []
+        for place in np.flatnonzero((removed > 0.0) | self._is_kept_off[group]).tolist():
+            column = group.start + place
+            kept_off = self._kept_off[column]
+            now_s = (tick * TELEMETRY_STEPS + self._columns.phase_steps[column]) * DT_S
+            if kept_off.intervened(now_s, removed[place]) and not np.isnan(wanted[0, place]):
+                x, y, z, vx, vy, vz = own[:, place].tolist()
+                tx, ty, tz, tvx, tvy, tvz, tax, tay, taz = wanted[:, place].tolist()
+                if self._holds[column]:  # no height is wanted of the slot
+                    z = tz
+                target = FormationState((tx, ty, tz), (tvx, tvy, tvz), (tax, tay, taz))
+                if kept_off.rft(now_s, FormationState((x, y, z), (vx, vy, vz)), target):
+                    places.append(place)
+            self._is_kept_off[column] = kept_off.is_kept_off
+        which = np.array(places, dtype=np.int64)
+        return which, wanted[:, which]
