@@ -11,9 +11,11 @@ from msgspec.structs import replace
 
 from common import ROOT
 from companion.config.file import ConfigError
+from companion.config.reference import PointReference
 from companion.config.vehicle import load_agent
 from companion.recording.codec import recorded_config
 from companion.recording.reader import recordings
+from companion.types.notices import Code
 from sitl.flight.files import write_files
 from sitl.flight.flights import FlightOptions, run_virtual
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
@@ -30,6 +32,7 @@ def reference(time_s):
 """
 SAMPLES = "{kind: samples, file: path.csv}"
 FUNCTION = "{kind: file, file: path.py, lasts_s: 28}"
+POINT = PointReference((1.0, 0.0, 2.0))
 FLOWN = (
     "starts_enu_m={1: [0, 0, 0], 2: [-2, 0, 0], 3: [-4, 0, 0], 4: [-6, 0, 0]}",
     "fleet.law.name=cooperative",
@@ -76,10 +79,16 @@ def test_the_files_of_a_flight_hold_it(reference: str, tmp_path: Path) -> None:
 
 
 def test_a_step_of_the_timeline_brings_samples_and_no_code(tmp_path: Path) -> None:
-    step = f"{{command: reference, reference: {SAMPLES}, for_s: 1}}"
+    step = f"{{command: reference, reference: {SAMPLES}, for_s: 30}}"
     scenario_with(tmp_path, SAMPLES)
     loaded = load_scenario(tmp_path / "platoon.yaml", [f"timeline[4]={step}", *FLOWN])
     assert loaded.timeline[4].reference is not None and loaded.timeline[4].reference.curve_s() == 30.0
+    flown = fly_in_virtual_time(replace(loaded, reference=POINT), FlightProgress("", quiet=True, began_s=0.0))
+    assert flown.failure is None
+    changes = [event.event for event in flown.watch.events if event.code is Code.REFERENCE_CHANGED]
+    assert len(changes) == 1 and "hand-over of" in changes[0]
+    led = flown.watch.led_enu_m
+    assert max(x for _, (x, _, _) in led) > 7.0 and max(y for _, (_, y, _) in led) > 2.5
     with pytest.raises(ConfigError, match=r"timeline\[4\]\.reference\.kind: file: a command brings no code"):
         load_scenario(tmp_path / "platoon.yaml", [f"timeline[4]={step.replace(SAMPLES, FUNCTION)}", *FLOWN])
 

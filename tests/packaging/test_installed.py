@@ -169,5 +169,8 @@ def test_with_the_ground_tools_the_paper_s_scenarios_are_found(distributions: di
     done = made.run("python", "-c", plans)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) > 0
+    flight = "from sitl.api import fly; print(fly('platoon', overrides={'timeline[3].for_s': 2}).summary.failure)"
+    done = made.run("python", "-c", flight)
+    assert (done.returncode, done.stdout) == (0, "None\n"), done.stderr
     done = made.run("sitl", "run", "platoon", "--quiet", "--set", "timeline[3].for_s=2")
     assert done.returncode == 0, done.stderr + done.stdout

@@ -7,12 +7,11 @@ from functools import lru_cache
 from itertools import pairwise
 from math import ceil, dist, hypot, isfinite
 from pathlib import Path
-from shutil import copyfile
 from typing import Annotated, Any
 
 from msgspec import Meta
 
-from companion.config.code_file import CodeFile, code_error, load_code
+from companion.config.code_file import WRITABLE_BY_OTHERS, CodeFile, code_error, load_code
 from companion.config.file import ConfigError
 from companion.config.reference.timed import TimedReference
 from companion.config.values import Text, written
@@ -61,10 +60,13 @@ class FileReference(TimedReference, frozen=True, kw_only=True, tag_field="kind",
 
     @classmethod
     def carried(cls, section: dict[str, Any], folder: Path) -> dict[str, Any]:
-        """With a copy of the file in the folder."""
+        """With a copy of the file in the folder; others may write neither, whatever the umask."""
         source = Path(section["file"])
+        copy = folder / source.name
         if source.parent.resolve() != folder.resolve():
-            copyfile(source, folder / source.name)
+            copy.write_bytes(source.read_bytes())
+            for path in (copy, folder):
+                path.chmod(path.stat().st_mode & ~WRITABLE_BY_OTHERS)
         return section | {"file": source.name}
 
     def contradictions(self) -> Iterator[tuple[str, str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import pairwise
@@ -26,7 +25,7 @@ DIGITS = 6  # of what is read from a file, so that the file of a flight can hold
 Row = tuple[Coordinate, Coordinate, Coordinate, Coordinate]
 
 
-class SamplesReference(TimedReference, frozen=True, kw_only=True, tag_field="kind", tag="samples"):
+class SamplesReference(TimedReference, frozen=True, kw_only=True, omit_defaults=True, tag_field="kind", tag="samples"):
     """Through all samples at their times, with continuous acceleration. It stops only where two samples in a row are equal.
 
     samples: rows of t in seconds, rising, and x, y, z; the reference begins at the first one
@@ -83,9 +82,10 @@ def read_samples(path: Path) -> list[list[float]]:
     """The rows t, x, y, z of a CSV file. Raises ConfigError, which names the line and the column."""
     text = read_text(path).removeprefix("\ufeff")  # which spreadsheets write
     lines = [
-        (number, [cell.strip() for cell in cells]) for number, cells in enumerate(csv.reader(text.splitlines()), 1)
+        (number, [cell.strip() for cell in line.split(",")])
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip(", ")
     ]
-    lines = [(number, cells) for number, cells in lines if any(cells)]
     header = lines[0][1] if lines else []
     if sorted(header) != sorted(COLUMNS):
         raise ConfigError(path, "line 1", f"{quoted(','.join(header))}: expected the columns {','.join(COLUMNS)}")

@@ -19,6 +19,8 @@ from companion.config.reference.samples import MOST_IN_COMMAND, MOST_SAMPLES, Sa
 from companion.config.reference_check import reference_problems
 from companion.geometry.curves import ramped
 from companion.geometry.spline import table, through
+from companion.types.commands import Command, CommandName, ReferenceChange
+from companion.wire.messages import decode_command, encode
 from one_agent import FLEET
 
 ROWS = (
@@ -318,7 +320,8 @@ def test_another_process_loads_the_file_itself(beside: Path) -> None:
 
 def test_a_copy_goes_with_the_files_of_a_flight(beside: Path, tmp_path: Path) -> None:
     reference, folder = from_code(beside), tmp_path / "run"
-    folder.mkdir(mode=0o755)
+    folder.mkdir()
+    folder.chmod(0o775)  # as with the umask of many systems
     plain = carried(to_builtins({"reference": reference}), folder)
     assert plain["reference"]["file"] == "circle.py"
     again = read(folder / "scenario.yaml", **plain["reference"])
@@ -350,6 +353,15 @@ def test_no_command_brings_code_or_a_file(section: dict[str, Any], words: str) -
     with pytest.raises(ConfigError) as caught:
         commanded(Path("command"), {"reference": section})
     assert words in caught.value.lines[-1]
+
+
+def test_a_command_brings_samples_in_a_message() -> None:
+    rows = [(float(i), 3.0 * sin(i), 0.0, 3.0) for i in range(MOST_IN_COMMAND)]
+    given = SamplesReference(samples=tuple(rows), pace=0.5)
+    change = ReferenceChange(1, to_builtins(given), 5.0)
+    sent = decode_command(encode(Command(CommandName.REFERENCE, 1, "ground", 1, change))).content
+    assert isinstance(sent, ReferenceChange)
+    assert commanded(Path("command"), {"reference": sent.reference}) == given
 
 
 def test_a_command_brings_samples() -> None:
