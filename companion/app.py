@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from companion.assembly import build_agent, check_agent
 from companion.config.file import ConfigError
+from companion.config.law import is_built_in, law_of
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.agent import Agent
 from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError, open_autopilot_link, read_signing_key
@@ -22,6 +23,7 @@ from companion.link.control_loop import ControlLoop, Job
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.fleet.zenoh_session import EndpointError
 from companion.link.ground_link import GroundStationLink
+from companion.link.law_timer import LawTimer
 from companion.link.log import flush_log
 from companion.link.systemd import Notifier, log_as_service
 from companion.link.takeoff_file import TakeoffFile, takeoff_path
@@ -70,7 +72,9 @@ def _loop() -> asyncio.AbstractEventLoop:
 
 async def _run(settings: Settings, config: AgentConfig) -> None:
     session = int.from_bytes(os.urandom(4))
-    vehicle, agent, trigger = config.vehicle, build_agent(config, session), TickTrigger()
+    vehicle, trigger, law = config.vehicle, TickTrigger(), law_of(config.fleet.law)
+    timer = None if is_built_in(config.fleet.law) else LawTimer(law, [])
+    agent = build_agent(config, session, law=timer or law)
     log_as_service(vehicle.id, lambda: agent.phase)
     key = read_signing_key(settings.file, vehicle.signing)
     identity = _identity(settings, config)
@@ -107,7 +111,7 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
             ground = stack.enter_context(closing(_ground_station(settings, config, autopilot, agent)))
             beside.append(ground.run)
         jobs = [autopilot.receive, autopilot.keep_in_touch, autopilot.keep_streams, autopilot.keep_time, *beside]
-        loop = ControlLoop(agent, autopilot, peers, trigger, notifier, recorder)
+        loop = ControlLoop(agent, autopilot, peers, trigger, notifier, recorder, timer)
         if not await loop.run(settings.wait_s, jobs):
             raise AutopilotSilentError(settings.file, vehicle, settings.wait_s, autopilot.why_silent())
 

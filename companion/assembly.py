@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from math import hypot, radians, tan
 from pathlib import Path
-from typing import TypeVar
 
 from companion.analysis.pace import following_steps
 from companion.analysis.response import USUAL_DRAG_1_S
 from companion.config.file import ConfigError, refuse
-from companion.config.fleet import EdgeNeighbours, FleetConfig, Law, LawName
+from companion.config.fleet import EdgeNeighbours, FleetConfig
+from companion.config.law import law_of
 from companion.config.reference import Reference, TargetReference, commanded
 from companion.config.reference_check import most_pace, reference_checks
 from companion.config.validation import Problem, needs, without_pauses
@@ -19,8 +19,7 @@ from companion.core.agent import Agent
 from companion.core.command.arbitration import CommandArbitration, CommandDispatcher
 from companion.core.command.hand_over import LEVEL_BEFORE_HAND_OVER_S
 from companion.core.command.phase import PhaseMachine
-from companion.core.consensus import law as formation
-from companion.core.consensus.law import FormationLaw, Gains, Weighting
+from companion.core.consensus.law import FlownLaw
 from companion.core.consensus.neighbours import DistantLimits, DistantPeers, EdgeRule, NeighbourRule, RangeRule
 from companion.core.consensus.peers import FleetLimits, PeerTable
 from companion.core.consensus.stage import ConsensusStage
@@ -54,39 +53,37 @@ from companion.core.safety.return_check import ReturnCheck
 from companion.core.safety.safeguard import SafeguardStage
 from companion.geometry.airspace import Airspace
 from companion.geometry.formations import to_separation_metric
+from companion.laws import Law
+from companion.laws._feedback_gains import feedback_gains
+from companion.laws._neighbour_feedback import NeighbourFeedback
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.commands import Described
 from companion.types.flight import FailsafeAction, Role
+from companion.types.formation import Gains
 from companion.types.notices import Code, Notice
 from companion.types.status import AgentIdentity
 from companion.types.steps import Steps
 from companion.types.values import GRAVITY_M_S2, Vector3
 
-Value = TypeVar("Value")
-LAWS: dict[LawName, Callable[[], FormationLaw]] = {
-    "cooperative": formation.cooperative,
-    "weighted": formation.weighted,
-    "average_22": formation.average_22,
-    "average_26": formation.average_26,
-}
-
-
 COMMANDED = Path("command")  # in place of a file name in error messages
 LONGEST_REASON = 300  # characters; keys and values of a command have no limit of length
 
 
-def build_agent(config: AgentConfig, session: int, formation_hash: int | None = None) -> Agent:
+def build_agent(config: AgentConfig, session: int, formation_hash: int | None = None, law: Law | None = None) -> Agent:
     """The agent of a vehicle. `session` differs between two starts of the agent of one vehicle.
+
+    `law` flies in place of the configured one: the same, with a clock around it.
 
     `formation_hash` is that of the fleet file without a value. With that of other vehicles it accepts their packets although
     its own settings differ: for a replay of recorded inputs.
     """
-    fleet, member, law, vehicle = config.fleet, config.member, config.fleet.law, config.vehicle
+    fleet, member, section, vehicle = config.fleet, config.member, config.fleet.law, config.vehicle
+    law = law or law_of(section)
     if formation_hash is None:
         formation_hash = fleet.formation_hash()
-    identity = AgentIdentity(member.id, session, fleet.name, formation_hash, law.name)
+    identity = AgentIdentity(member.id, session, fleet.name, formation_hash, section.name)
     envelope = output_limits_of(fleet)
-    observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, law.disturbance_bandwidth_1_s)
+    observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, section.disturbance_bandwidth_1_s)
     health = HealthLimits(envelope, fleet.leave_below_percent, fleet.land_below_percent)
     safety_filter = safety_filter_of(fleet, member.id)
     returns = ReturnCheck(
@@ -98,7 +95,7 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
     )
     checks = FleetChecks(
         own_id=member.id,
-        slots_have_height=law.altitude == "formation",
+        slots_have_height=section.altitude == "formation",
         ground_spread_m=fleet.ground_spread_m,
         separation_m=fleet.separation_m,
         returns=returns,
@@ -112,13 +109,15 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
         preflight=Preflight(observer, PROFILES, vehicle.accept_uncontrolled_descent, fleet_fence_of(fleet)),
         phases=PhaseMachine(fleet.takeoff_height_m, PROFILES),
         arbitration=CommandArbitration(session),
-        consensus=_consensus(fleet, member.id, identity.formation_hash),
+        consensus=_consensus(fleet, member.id, identity.formation_hash, law.publishes),
         guidance=_guidance(config),
         safeguard=SafeguardStage(checks, health, _failsafes(fleet), PROFILES),
         dispatcher=CommandDispatcher(checks),
-        setpoint=_setpoint(config, safety_filter, SetpointStream(envelope, observer), limit_of(Code.POSITION_STALE)),
+        setpoint=_setpoint(
+            config, law, safety_filter, SetpointStream(envelope, observer), limit_of(Code.POSITION_STALE)
+        ),
         distant_peers=_distant_peers(fleet, member.id) if fleet.has_distant_peers else None,
-        reporter=ReportStage(identity, law_of(law), checks),
+        reporter=ReportStage(identity, law, checks),
     )
 
 
@@ -141,7 +140,7 @@ def _failsafes(fleet: FleetConfig) -> FailsafeSettings:
     return FailsafeSettings(action, fleet.land_after_s, fleet.leader_holds_after_s)
 
 
-def _consensus(fleet: FleetConfig, own_id: int, formation_hash: int) -> ConsensusStage:
+def _consensus(fleet: FleetConfig, own_id: int, formation_hash: int, law_values: int) -> ConsensusStage:
     leadership = Leadership(
         own_id,
         [m.id for m in fleet.vehicles if m.role is Role.LEADER],
@@ -157,7 +156,7 @@ def _consensus(fleet: FleetConfig, own_id: int, formation_hash: int) -> Consensu
     )
     leader, succession = BeaconMonitor(fleet.peers.leader_beacon_max_age_s), Succession(own_id, fleet.successors)
     rule = _neighbour_rule(fleet, own_id)
-    return ConsensusStage(own_id, leadership, len(fleet.vehicles), peers, rule, leader, succession)
+    return ConsensusStage(own_id, leadership, len(fleet.vehicles), peers, rule, leader, succession, law_values)
 
 
 def _distant_peers(fleet: FleetConfig, own_id: int) -> DistantPeers:
@@ -191,7 +190,7 @@ def _guidance(config: AgentConfig) -> GuidanceStage:
 
 def _entry(fleet: FleetConfig, own_id: int) -> FormationEntry:
     separation_m, speed_m_s = fleet.separation_m, fleet.slot_speed_m_s
-    within_m = law_within_m(law_of(fleet.law).gains, speed_m_s)
+    within_m = law_within_m(feedback_gains(law_of(fleet.law)), speed_m_s)
     has_height = fleet.law.altitude == "formation"
     return FormationEntry(
         own_id,
@@ -207,7 +206,9 @@ def safety_filter_of(fleet: FleetConfig, own_id: int) -> SafetyFilter:
     limits = AccelerationLimits.of_envelope(
         tan(envelope.max_tilt_rad), envelope.min_thrust_ratio, envelope.max_thrust_ratio
     )
-    return SafetyFilter(separation_settings_of(fleet, own_id), bounds_of(fleet), limits, law_of(fleet.law).gains)
+    return SafetyFilter(
+        separation_settings_of(fleet, own_id), bounds_of(fleet), limits, feedback_gains(law_of(fleet.law))
+    )
 
 
 def bounds_of(fleet: FleetConfig) -> Bounds:
@@ -232,13 +233,13 @@ def vertical_braking_m_s2(fleet: FleetConfig) -> float:
 
 
 def _setpoint(
-    config: AgentConfig, safety_filter: SafetyFilter, stream: SetpointStream, flown_for_s: float
+    config: AgentConfig, law: Law, safety_filter: SafetyFilter, stream: SetpointStream, flown_for_s: float
 ) -> SetpointStage:
-    law = config.fleet.law
-    gains = law.altitude_hold_gains
+    section = config.fleet.law
+    gains = section.altitude_hold_gains
     return SetpointStage(
-        law=law_of(law),
-        law_flies_altitude=law.altitude == "formation",
+        law=FlownLaw(law, config.vehicle.drag_1_s),
+        law_flies_altitude=section.altitude == "formation",
         altitude_hold_gains=Gains(gains.position_1_s2, gains.velocity_1_s),
         safety_filter=safety_filter,
         stream=stream,
@@ -263,7 +264,20 @@ def flyable_checks(
         yield problem
     if not refused:
         slots = slots_enu_m or {member.id: member.slot_enu_m for member in fleet.vehicles}
-        yield (yield from following_steps(fleet, law_of(fleet.law), reference, slots, drag_1_s, where))
+        yield (yield from _following_steps(fleet, reference, slots, drag_1_s, where))
+
+
+def _following_steps(
+    fleet: FleetConfig,
+    reference: Reference,
+    slots_enu_m: Mapping[int, Vector3],
+    drag_1_s: float,
+    where: str = "reference",
+) -> Steps[Problem | None]:
+    law = law_of(fleet.law)
+    if not isinstance(law, NeighbourFeedback):
+        return None
+    return (yield from following_steps(fleet, law, reference, slots_enu_m, drag_1_s, where))
 
 
 flyable_problems = without_pauses(flyable_checks)
@@ -309,7 +323,7 @@ def _references(fleet: FleetConfig, first: Reference, drag_1_s: float) -> Refere
         reference = first
         if described is not None:
             reference = commanded(COMMANDED, {"reference": described})
-        problem = yield from following_steps(fleet, law_of(fleet.law), reference, slots_enu_m, drag_1_s)
+        problem = yield from _following_steps(fleet, reference, slots_enu_m, drag_1_s)
         return None if problem is None else f"{problem.field}: {problem.text}"[:LONGEST_REASON]
 
     return ReferencePlan(rft_of(first), read, refusal_of_slots, limits)
@@ -345,26 +359,6 @@ def rft_of(reference: Reference) -> Rft:
 def trajectory_of(reference: Reference) -> ReferenceTrajectory:
     """The configured trajectory; for a target, the one before the first sample of it."""
     return along(reference.curve())
-
-
-def law_of(law: Law) -> FormationLaw:
-    """The law of this name with the changes of the fleet file."""
-    named, changed = LAWS[law.name](), law.gains
-    return FormationLaw(
-        gains=Gains(
-            _first(changed.position_1_s2, named.gains.position_1_s2),
-            _first(changed.velocity_1_s, named.gains.velocity_1_s),
-        ),
-        weighting=Weighting(
-            _first(law.exponent, named.weighting.exponent), _first(law.weight_ratio, named.weighting.ratio)
-        ),
-        leader_uses_neighbours=_first(law.leader_uses_neighbours, named.leader_uses_neighbours),
-        feedforward=_first(law.feedforward, named.feedforward),
-    )
-
-
-def _first(changed: Value | None, named: Value) -> Value:
-    return named if changed is None else changed
 
 
 def _neighbour_rule(fleet: FleetConfig, own_id: int) -> NeighbourRule:

@@ -22,9 +22,8 @@ from msgspec import to_builtins
 
 from companion.analysis.interaction import FloatArray
 from companion.config.file import override
-from companion.config.fleet import LawName
+from companion.config.named_files import read_named
 from companion.config.new_formation import inline
-from companion.config.reference import read_named
 from companion.tools.analysis import Analysis, LawAnalysis, analyse
 from companion.tools.subject import subject_of
 from companion.types.errors import UnusableError
@@ -116,7 +115,7 @@ def load(scenario: Source, overrides: Overrides = NOTHING, law: str | None = Non
     file = None if isinstance(scenario, Scenario) else scenario_file(Path(scenario))
     found = load_scenario(file) if file else cast(Scenario, scenario)
     if law is not None:
-        found = with_law(found, cast(LawName, law))
+        found = with_law(found, law)
     elif not overrides:
         return found
     lines = [f"{key}={inline(_plain(value))}" for key, value in overrides.items()]

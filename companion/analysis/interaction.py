@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.analysis.response import Graph, settled_prcs
-from companion.core.consensus.law import FormationLaw, Gains, neighbour_weights
+from companion.laws._neighbour_feedback import NeighbourFeedback
+from companion.types.formation import Gains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,14 +24,14 @@ class Coupling:
     The fed-forward u on the right side is delayed.
     """
 
-    law: FormationLaw
+    law: NeighbourFeedback
     G: FloatArray  # (n, n), eq. 6
     W: FloatArray  # (n, n), feed-forward weights w_ij of the followers; a leader's row is zero
     prcs: NDArray[np.int64]  # (n,), p_i
     is_leader: NDArray[np.bool_]  # (n,)
 
 
-def couple(graph: Graph, leaders: Collection[int], law: FormationLaw) -> Coupling:
+def couple(graph: Graph, leaders: Collection[int], law: NeighbourFeedback) -> Coupling:
     """Coupling of a graph under a law: weights of `neighbour_weights`, PrCs of Algorithm 1."""
     prcs = settled_prcs(graph, leaders)
     ids = sorted(graph)
@@ -38,10 +39,9 @@ def couple(graph: Graph, leaders: Collection[int], law: FormationLaw) -> Couplin
     weights = np.zeros((len(ids), len(ids)))
     is_leader = np.array([i in leaders for i in ids])
     for i in ids:
-        uses_neighbours = i not in leaders or law.leader_uses_neighbours
-        neighbours = sorted(graph[i]) if uses_neighbours else []
-        shares = neighbour_weights([prcs[j] for j in neighbours], law.weighting)
-        weights[column[i], [column[j] for j in neighbours]] = shares
+        neighbours = sorted(graph[i])
+        shares = law.weights(i in leaders, [prcs[j] for j in neighbours])
+        weights[column[i], [column[j] for j in neighbours if shares]] = shares
     return Coupling(
         law=law,
         G=np.diag(weights.sum(axis=1) + is_leader) - weights,
@@ -51,7 +51,7 @@ def couple(graph: Graph, leaders: Collection[int], law: FormationLaw) -> Couplin
     )
 
 
-def interaction_matrix(graph: Graph, leaders: Collection[int], law: FormationLaw) -> FloatArray:
+def interaction_matrix(graph: Graph, leaders: Collection[int], law: NeighbourFeedback) -> FloatArray:
     """G (n x n) of eq. 6 under a law; rows and columns in rising order of the ids."""
     return couple(graph, leaders, law).G
 

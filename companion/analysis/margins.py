@@ -183,7 +183,7 @@ def response(coupling: Coupling, model: LinearModel, omega_rad_s: float) -> Comp
     """
     s = 1j * omega_rad_s
     law = coupling.law
-    feedback = law.gains.position_1_s2 + law.gains.velocity_1_s * s
+    feedback = law.position_gain_1_s2 + law.velocity_gain_1_s * s
     plant = s * (s + model.drag_1_s)
     vehicle = plant * np.exp(s * model.delay_s) / model.flown_share(s)
     forward = law.feedforward * np.exp(-s * model.feedforward_delay_s)
@@ -222,7 +222,7 @@ def string_gains(coupling: Coupling, model: LinearModel) -> StringGains | None:
 
 def _grid(coupling: Coupling) -> FloatArray:
     """log(omega) from 1/10 of the slowest mode, sqrt(k1 mu), to 10 Hz, too fast for any vehicle."""
-    k1 = coupling.law.gains.position_1_s2
+    k1 = coupling.law.position_gain_1_s2
     slowest = max(float(mode_eigenvalues(coupling)[0]), 1e-9)
     low, high = log(0.1 * sqrt(k1 * slowest)), log(20.0 * pi)
     return np.linspace(low, high, round(POINTS_PER_DECADE * (high - low) / log(10.0)))

@@ -11,8 +11,8 @@ from companion.config.fleet import FleetConfig
 from companion.config.planned_flight import neighbour_graph
 from companion.config.reference import Reference
 from companion.config.validation import Problem, needs
-from companion.core.consensus.law import FormationLaw
 from companion.geometry.formations import to_separation_metric
+from companion.laws._neighbour_feedback import NeighbourFeedback
 from companion.types.flight import Role
 from companion.types.steps import Steps
 from companion.types.values import GRAVITY_M_S2, Vector3
@@ -20,7 +20,7 @@ from companion.types.values import GRAVITY_M_S2, Vector3
 
 def following_steps(
     fleet: FleetConfig,
-    law: FormationLaw,
+    law: NeighbourFeedback,
     reference: Reference,
     slots_enu_m: Mapping[int, Vector3],
     drag_1_s: float = USUAL_DRAG_1_S,
@@ -49,7 +49,7 @@ def following_steps(
 
 
 def chains_of(
-    fleet: FleetConfig, law: FormationLaw, slots_enu_m: Mapping[int, Vector3], drag_1_s: float
+    fleet: FleetConfig, law: NeighbourFeedback, slots_enu_m: Mapping[int, Vector3], drag_1_s: float
 ) -> Iterator[Chain]:
     """The formation with its leaders at the start, and with each other vehicle that may lead as the only leader."""
     graph = neighbour_graph(fleet.neighbours, slots_enu_m)

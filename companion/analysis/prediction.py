@@ -16,7 +16,6 @@ import numpy as np
 
 from companion.analysis.interaction import Coupling, FloatArray
 from companion.analysis.response import TICK_S, LinearModel
-from companion.core.consensus.law import Gains
 from companion.core.formation.paths import (
     Offset,
     Path,
@@ -26,6 +25,7 @@ from companion.core.formation.paths import (
     law_within_m,
     together_s,
 )
+from companion.types.formation import Gains
 from companion.types.values import Vector3
 
 SUBSTEPS = 4

@@ -19,9 +19,9 @@ from dataclasses import dataclass, field
 from math import cos, dist, hypot, inf, pi, sin
 from typing import Any
 
-from companion.core.consensus.law import FormationLaw, neighbour_weights
 from companion.core.filter.motion import LAG_S
 from companion.geometry.curves import Harmonic
+from companion.laws._neighbour_feedback import NeighbourFeedback
 from companion.types.autopilot import AutopilotKind
 from companion.types.steps import Steps, whole
 from companion.types.values import Vector3
@@ -163,7 +163,7 @@ class ClosestPair:
 class Chain:
     """A formation with its law: who uses whom, who leads, and the limits of speed and acceleration of a vehicle."""
 
-    law: FormationLaw
+    law: NeighbourFeedback
     graph: Graph
     leaders: frozenset[int]
     drag_1_s: float
@@ -176,8 +176,8 @@ class Chain:
         prcs = settled_prcs(self.graph, self.leaders)
         weights = {}
         for i, neighbours in self.graph.items():
-            used = neighbours if i not in self.leaders or self.law.leader_uses_neighbours else ()
-            weights[i] = (used, neighbour_weights([prcs[j] for j in used], self.law.weighting))
+            shares = self.law.weights(i in self.leaders, [prcs[j] for j in neighbours])
+            weights[i] = (neighbours if shares else (), shares)
         object.__setattr__(self, "_weights", weights)
         object.__setattr__(self, "_known", {})
 

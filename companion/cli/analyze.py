@@ -26,7 +26,7 @@ def _run_analyze(options: argparse.Namespace) -> int:
 
     examples:
       companion analyze config/scenarios/platoon.yaml
-      companion analyze config/scenarios/chain_16.yaml --set fleet.law.weight_ratio=0.1
+      companion analyze config/scenarios/chain_16.yaml --set fleet.law.parameters.weight_ratio=0.1
       companion analyze /etc/companion/fleet.yaml --json | jq '.laws.weighted.lambda_min'
 
     A scenario defines the start positions and the reference; a fleet file alone is analyzed for a

@@ -10,7 +10,7 @@ from typing import get_args
 import msgspec
 
 from companion.cli.program import CliCommand, command
-from companion.config.fleet import LawName
+from companion.config.law import BUILT_IN
 from companion.config.new_formation import NewFormation
 from companion.config.planned_flight import TOPOLOGY_WORDS, ShapeName, Topology
 from companion.config.reference import FirstKind
@@ -39,7 +39,7 @@ def add_formation(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--topology", choices=get_args(Topology), default="chain", help="neighbours (default chain)")
     parser.add_argument("--reference", choices=get_args(FirstKind), default="point", help="reference (default point)")
-    parser.add_argument("--law", choices=get_args(LawName), default="cooperative", help="law (default cooperative)")
+    parser.add_argument("--law", choices=BUILT_IN, default="cooperative", help="law (default cooperative)")
     parser.add_argument(
         "--heading",
         choices=("fixed", "course"),

@@ -83,7 +83,7 @@ def _run_replay(options: argparse.Namespace) -> int:
       companion replay flights/2026-05-03
       companion replay flights/2026-05-03 --vehicle 2 --json | jq '.vehicles[0].difference'
       companion replay flights/2026-05-03 --law average_22
-      companion replay flights/2026-05-03 --set fleet.law.gains.position_1_s2=0.8 --csv commands.csv
+      companion replay flights/2026-05-03 --set fleet.law.parameters.position_gain_1_s2=0.8 --csv commands.csv
 
     FOLDER is searched for files *.mcap, also in folders inside; a single file is possible. The replay
     of a vehicle begins with the start of its agent: without the first part of a recording it is

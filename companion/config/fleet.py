@@ -2,89 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
-from companion.config.validation import Problem
+from companion.config.law import LawSection
 from companion.config.values import Name, NetworkAddress, ObstacleSection, PointM, PositionM, Section, VehicleId
 from companion.geometry.airspace import Airspace, Fence
 from companion.types.flight import Role
 from companion.types.values import Vector3
-
-Gain = Annotated[float, Meta(gt=0, le=10)]
-LawName = Literal["cooperative", "weighted", "average_22", "average_26"]
-OF_ONE_LAW = ("exponent", "weight_ratio", "feedforward", "leader_uses_neighbours")  # keys with a default of each law
-PAPER_LAWS: tuple[LawName, ...] = ("weighted", "average_22", "average_26")
-
-
-class LawGains(Section, frozen=True):
-    """Gains K = [k1, k2] of eq. 14. Without a value the law's own gain applies.
-
-    position_1_s2: k1, on the position error
-    velocity_1_s: k2, on the velocity error
-    """
-
-    position_1_s2: Gain | None = None
-    velocity_1_s: Gain | None = None
-
-
-class AltitudeHoldGains(Section, frozen=True):
-    """Gains of the altitude controller of a vehicle that holds its own altitude.
-
-    position_1_s2: on the altitude error
-    velocity_1_s: on the climb rate
-    """
-
-    position_1_s2: Gain = 2.0
-    velocity_1_s: Gain = 2.4
-
-
-class Law(Section, frozen=True):
-    """The formation law and its parameters. A parameter that is left out has the value of the named law.
-
-    name: `cooperative` is the law to fly; `weighted` is the paper's; `average_22` and `average_26` are those that the
-        paper compares it with
-    exponent: alpha of the weights rho^p / p^alpha; 1 in the paper's Algorithm 2
-    weight_ratio: rho of the weights rho^p / p^alpha; 1 in the paper
-    feedforward: share of the neighbours' acceleration that is fed forward
-    leader_uses_neighbours: `false`: a leader tracks its reference without its neighbours
-    altitude: `formation`: the law controls z too; `hold`: each vehicle holds the altitude it entered with
-    disturbance_bandwidth_1_s: bandwidth of the observer for wind and hover thrust error; 0 switches it off
-    velocity_correction_1_s: bandwidth of the filter that makes the velocity agree with the position; 0 switches it off
-    """
-
-    name: LawName = "cooperative"
-    gains: LawGains = LawGains()
-    exponent: Annotated[float, Meta(ge=0, le=16)] | None = None
-    weight_ratio: Annotated[float, Meta(ge=0.001, le=1)] | None = None
-    feedforward: Annotated[float, Meta(ge=0, le=0.99)] | None = None
-    leader_uses_neighbours: bool | None = None
-    altitude: Literal["formation", "hold"] = "formation"
-    altitude_hold_gains: AltitudeHoldGains = AltitudeHoldGains()
-    disturbance_bandwidth_1_s: Annotated[float, Meta(ge=0, le=5)] = 4.0
-    velocity_correction_1_s: Annotated[float, Meta(ge=0, le=10)] = 2.0
-
-    def with_name(self, name: LawName) -> Law:
-        """Another law with these settings, for comparisons. The paper's three laws share their gains."""
-        if name == self.name:
-            return self
-        same_gains = name in PAPER_LAWS and self.name in PAPER_LAWS
-        gains = self.gains if same_gains else LawGains()
-        return replace(self, name=name, gains=gains, **dict.fromkeys(OF_ONE_LAW))
-
-
-def law_problems(law: Law, where: str) -> Iterator[Problem]:
-    """Parameters that an average law does not have: with them it would be the weighted law with another exponent."""
-    if law.name not in ("average_22", "average_26"):
-        return
-    for field in OF_ONE_LAW:
-        if getattr(law, field) is not None:
-            hint = "take it out, or fly weighted (its average is exponent: 0)"
-            yield Problem(f"{where}.{field}", f"{law.name} takes no {field}; {hint}")
 
 
 class GeodeticOrigin(Section, frozen=True):
@@ -233,7 +161,7 @@ class FleetSettings(Section, frozen=True, kw_only=True):
 
     altitude_source: Literal["origin", "takeoff"] = "origin"
     ground_spread_m: Annotated[float, Meta(gt=0, le=1000)] = 1.0
-    law: Law = Law()
+    law: LawSection = LawSection()
     separation_m: Annotated[float, Meta(gt=0, le=1000)] = 1.0
     slot_speed_m_s: Annotated[float, Meta(gt=0, le=50)] = 1.0
     hand_over_speed_m_s: Annotated[float, Meta(gt=0, le=50)] = 2.0
@@ -290,7 +218,8 @@ class FleetConfig(FleetSettings, frozen=True, kw_only=True):
         """64 bits over all settings. Vehicles fly together only if theirs are the same."""
         import hashlib  # here, so that an agent can leave OpenSSL out of it first (cli/agent.py)
 
-        digest = hashlib.sha256(msgspec.json.encode(self, order="sorted")).digest()
+        agreed = replace(self, law=self.law.agreed())
+        digest = hashlib.sha256(msgspec.json.encode(agreed, order="sorted")).digest()
         return int.from_bytes(digest[:8], "big")
 
     def member(self, vehicle_id: int) -> FormationMember | None:

@@ -10,7 +10,9 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from companion.config.file import convert, read_as, refuse
-from companion.config.fleet import EdgeNeighbours, FleetConfig, law_problems
+from companion.config.fleet import EdgeNeighbours, FleetConfig
+from companion.config.law import law_problems
+from companion.config.named_files import read_named
 from companion.config.validation import INVALID, Problem, each, unless_invalid
 from companion.config.values import PositionM, Section, VehicleId, is_multicast
 from companion.geometry.airspace import area_m2, crossing_sides
@@ -25,7 +27,7 @@ CLOSEST_STARTS_M = 0.3  # nearer to each other, two vehicles on the ground touch
 
 def load_fleet(path: Path) -> FleetConfig:
     """Read a fleet file. Raises ConfigError."""
-    return convert(path, read_as(path, "fleet"), FleetConfig, fleet_problems)
+    return convert(path, read_named(read_as(path, "fleet"), path), FleetConfig, fleet_problems)
 
 
 def fleet_problems(fleet: FleetConfig, where: str = "") -> Iterator[Problem]:

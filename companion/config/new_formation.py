@@ -13,7 +13,8 @@ from msgspec import Struct, to_builtins
 from msgspec.structs import replace
 
 from companion.config.file import ConfigError, refuse
-from companion.config.fleet import Envelope, FleetConfig, FormationMember, GeodeticOrigin, Law, LawName
+from companion.config.fleet import Envelope, FleetConfig, FormationMember, GeodeticOrigin
+from companion.config.law import LawName, LawSection
 from companion.config.planned_flight import (
     DEFAULT_ORIGIN,
     TOPOLOGY_WORDS,
@@ -77,7 +78,7 @@ def planned_formation(
         origin=origin,
         vehicles=members,
         neighbours=neighbours_of(new.topology, members),
-        law=Law(name=new.law),
+        law=LawSection(name=new.law),
         separation_m=round(min(SEPARATION_M, SEPARATION_OF_SPACING * new.spacing_m), 2),
         formation_heading=new.heading,
         slot_speed_m_s=TURNING_SLOT_SPEED_M_S if new.heading == "course" else 1.0,

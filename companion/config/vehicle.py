@@ -16,7 +16,8 @@ from msgspec import Meta
 from companion.config.file import ConfigError, convert, read_as
 from companion.config.fleet import FleetConfig, FormationMember
 from companion.config.fleet_check import load_fleet
-from companion.config.reference import Reference, read_named
+from companion.config.named_files import read_named
+from companion.config.reference import Reference
 from companion.config.reference_check import reference_problems
 from companion.config.validation import Problem, each
 from companion.config.values import (

@@ -9,7 +9,6 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.core.command.arbitration import Intake
-from companion.core.consensus.law import FormationLaw, used_weights
 from companion.core.consensus.stage import Consensus
 from companion.core.control.setpoint import Setpoint
 from companion.core.estimation.vehicle import Perception
@@ -19,6 +18,7 @@ from companion.core.preflight import Fitness
 from companion.core.safety.failsafe import POSITION_WRONG
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.core.safety.safeguard import Safety
+from companion.laws import Law
 from companion.types.autopilot import AutopilotRequest, VehicleState
 from companion.types.commands import CommandName
 from companion.types.flight import RULES, Flight, FlightPhase, Role
@@ -70,7 +70,7 @@ class Report(Struct, frozen=True, gc=False):
 class ReportStage:
     """Peer packet, status and events. `refused` counts messages rejected before they came to the agent, by reason."""
 
-    def __init__(self, identity: AgentIdentity, law: FormationLaw, checks: FleetChecks) -> None:
+    def __init__(self, identity: AgentIdentity, law: Law, checks: FleetChecks) -> None:
         self._identity = identity
         self._law = law
         self._checks = checks
@@ -131,6 +131,7 @@ class ReportStage:
             rft=(rft.position_enu_m, rft.velocity_enu_m_s, rft.acceleration_enu_m_s2) if rft else None,
             home_enu_m=None if vehicle.returns_elsewhere else vehicle.home_enu_m,
             lost=consensus.peers.lost,
+            law_values=setpoint.law_values,
         )
 
     def _status(self, decided: Decision) -> Status:
@@ -171,7 +172,7 @@ class ReportStage:
             neighbourhood=NeighbourReport(
                 neighbours=neighbours.ids,
                 peers=tuple(sorted(peer.sender.vehicle_id for peer in peers)),
-                weights=used_weights(self._law, lead.role is LEADER, neighbours.prcs),
+                weights=self._law.weights(lead.role is LEADER, neighbours.prcs),
                 neighbour_ages_s=tuple([now_s - consensus.peers.fresh[i].measured_s for i in neighbours.ids]),
             ),
             formation=FormationReport(

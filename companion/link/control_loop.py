@@ -17,6 +17,7 @@ from msgspec.structs import replace
 from companion.core.agent import Agent
 from companion.core.report import Decision
 from companion.core.safety.safeguard import FailureResponse
+from companion.link.law_timer import LawTimer
 from companion.link.log import AgentEventLog, RejectionLog, field_of
 from companion.link.systemd import Notifier, status_line
 from companion.link.tick import BACK_UP_S, PERIOD_S, LateLoopLog, TickMeter, TickTrigger, monotonic_s
@@ -63,6 +64,7 @@ class ControlLoop:
         trigger: TickTrigger,
         notifier: Notifier,
         recorder: Recorder | None = None,
+        law: LawTimer | None = None,
     ) -> None:
         self._agent = agent
         self._autopilot = autopilot
@@ -70,6 +72,7 @@ class ControlLoop:
         self._trigger = trigger
         self.notifier = notifier
         self._recorder = recorder
+        self._law = law
         self.meter = TickMeter(time.monotonic())
         self.late = LateLoopLog()
         self.rejections = RejectionLog()
@@ -140,6 +143,7 @@ class ControlLoop:
             traffic=self._peers.traffic(now_s),
             prepared_s=seen.prepared_s,
             early=seen.early,
+            law_s=self._law.read_s() if self._law else 0.0,
         )
 
     def _send(self, now_s: float, telemetry: Sequence[Telemetry], decision: Decision) -> int | None:

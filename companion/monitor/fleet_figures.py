@@ -10,8 +10,8 @@ from math import dist, inf
 
 from companion.analysis.interaction import couple, eigenvalues, mode_eigenvalues, mode_figures, time_to_shrink_s
 from companion.analysis.response import reached_from
-from companion.assembly import law_of
-from companion.config.fleet import FleetConfig, Law, RangeNeighbours
+from companion.config.fleet import FleetConfig, RangeNeighbours
+from companion.config.law import LawSection, feedback_law_of
 from companion.geometry.formations import separation_distance_m
 from companion.ground.fleet_state import SILENT_AFTER_S
 from companion.monitor.api import FleetView, VehicleView
@@ -128,7 +128,7 @@ def edges_of(vehicles: Mapping[int, VehicleView]) -> Edges:
 
 @lru_cache(maxsize=64)
 def convergence(
-    vehicle_ids: frozenset[int], edges: Edges, leaders: frozenset[int], settings: Law
+    vehicle_ids: frozenset[int], edges: Edges, leaders: frozenset[int], settings: LawSection
 ) -> tuple[float | None, float | None]:
     """(smallest eigenvalue of G, predicted time to a tenth of an error in s).
 
@@ -142,7 +142,7 @@ def convergence(
         graph[j].append(i)
     if reached_from(graph, leaders) != vehicle_ids:
         return 0.0, None
-    law = law_of(settings)
+    law = feedback_law_of(settings)
     coupling = couple(graph, leaders, law)
     rate_1_s = min(mode_figures(law.gains, float(value)).rate_1_s for value in mode_eigenvalues(coupling))
     settling_s = time_to_shrink_s(rate_1_s, 1.0, SHRUNK_TO)

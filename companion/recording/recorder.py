@@ -14,11 +14,11 @@ from typing import Concatenate, NamedTuple, ParamSpec, TypeVar
 
 from msgspec.structs import replace
 
-from companion.assembly import law_of
 from companion.config.fleet import FleetConfig
+from companion.config.law import law_of
 from companion.config.vehicle import AgentConfig
-from companion.core.consensus.law import FormationLaw
 from companion.core.report import Decision
+from companion.laws import Law
 from companion.recording.codec import Message, as_json, encode, encode_inbox, encode_outbox, log_time_ns
 from companion.recording.files import GROUND, MB, MCAP, TLOG, FlightFiles, PartFiles, TlogPart, stamp
 from companion.recording.mcap_part import McapPart, MessageChunk, MessageStream
@@ -93,7 +93,7 @@ class Recorder:
     def __init__(
         self,
         header: Header,
-        law: FormationLaw,
+        law: Law,
         writing: Writing,
         mcap: PartFiles[MessageChunk],
         tlog: PartFiles[bytes] | None = None,

@@ -22,9 +22,9 @@ from msgspec.structs import fields
 
 from companion import __version__
 from companion.config.validation import alternatives
-from companion.core.consensus.law import FormationLaw, used_weights
 from companion.core.report import Decision
 from companion.geometry.vectors import rounded
+from companion.laws import Law
 from companion.types.commands import Command, CommandReply
 from companion.types.flight import Role
 from companion.types.notices import Notice
@@ -178,7 +178,7 @@ def _array(parts: list[Any]) -> Schema | None:
     return None if same is None or same["type"] == "array" else {"type": "array", "items": same}
 
 
-def decision_record(decision: Decision, law: FormationLaw) -> DecisionRecord:
+def decision_record(decision: Decision, law: Law) -> DecisionRecord:
     """The record of a decision under this law.
 
     The own state has as many decimals as in the peer packet: the same text again costs a recording nothing.
@@ -205,7 +205,7 @@ def decision_record(decision: Decision, law: FormationLaw) -> DecisionRecord:
         slot_offset_enu_m=rounded(guidance.slot.position_enu_m, 3),
         reference_enu_m=rounded(reference.position_enu_m, 3) if reference and role is Role.LEADER else None,
         neighbours=ids,
-        weights=tuple([round(w, 4) for w in used_weights(law, role is Role.LEADER, consensus.neighbours.prcs)]),
+        weights=tuple([round(w, 4) for w in law.weights(role is Role.LEADER, consensus.neighbours.prcs)]),
         peer_ages_s=tuple([round(now_s - consensus.peers.known[i].measured_s, 3) for i in ids]),
         acceleration_enu_m_s2=rounded(setpoint.acceleration_enu_m_s2, ACCELERATION),
         roll_deg=round(degrees(target.roll_rad), 1) if target else None,

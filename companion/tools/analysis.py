@@ -11,8 +11,9 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import dist, sqrt, tau
-from typing import Any, get_args
+from typing import Any
 
+import msgspec
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
@@ -46,22 +47,22 @@ from companion.analysis.response import (
     reached_from,
     settled_prcs,
 )
-from companion.assembly import law_of
-from companion.config.fleet import EdgeNeighbours, FleetConfig, LawName
+from companion.config.fleet import EdgeNeighbours, FleetConfig
+from companion.config.law import LawName, feedback_law_of
 from companion.config.planned_flight import (
     graph_in_slots,
     neighbour_graph,
 )
-from companion.core.consensus.law import FormationLaw, Gains
 from companion.core.filter.vehicles import PASSING_M, RIPPLE_M
 from companion.core.formation.paths import Path as SlotPath
 from companion.geometry.formations import to_separation_metric
+from companion.laws._neighbour_feedback import NeighbourFeedback
 from companion.tools.subject import STEP_M, Subject
 from companion.types.flight import Role
 from companion.types.notices import Refused
 from companion.types.values import Vector3
 
-LAW_NAMES: tuple[LawName, ...] = get_args(LawName)
+LAW_NAMES: tuple[LawName, ...] = ("cooperative", "weighted", "average_22", "average_26")
 AVERAGE_LAWS: tuple[LawName, ...] = ("average_22", "average_26")
 PREDICT_S = 120.0
 WORST_START_UP_TO = 100  # vehicles; for more the worst start takes too long to compute
@@ -152,7 +153,7 @@ def analyse(subject: Subject) -> Analysis:
     unreached = sorted(set(ids) - reached_from(graph, leaders))
     graphs = flown_graphs(graph, graph_in_slots(fleet), leaders)
     laws = {} if unreached else {name: _law_analysis(subject, graphs, leaders, name) for name in LAW_NAMES}
-    own = law_of(fleet.law)
+    own = feedback_law_of(fleet.law)
     by_leader = {
         i: float(eigenvalues(interaction_matrix(graph, {i}, own))[0])
         for i in ids
@@ -189,7 +190,7 @@ def _flying_positions(subject: Subject) -> dict[int, Vector3]:
 
 def _law_analysis(subject: Subject, graphs: Sequence[Graph], leaders: Collection[int], name: LawName) -> LawAnalysis:
     """`graphs`: that at the start first, that in the slots last."""
-    law = law_of(subject.fleet.law.with_name(name))
+    law = feedback_law_of(subject.fleet.law.with_name(name))
     flown = [couple(graph, leaders, law) for graph in graphs]
     coupling, in_slots = flown[0], flown[-1]
     spectrum = eigenvalues(coupling.G)
@@ -203,10 +204,10 @@ def _law_analysis(subject: Subject, graphs: Sequence[Graph], leaders: Collection
     gains = string_gains(coupling, model) if stable else None
     start_error_m = float(np.linalg.norm(_start_errors_m(subject), axis=1).max())
     return LawAnalysis(
-        gain_position_1_s2=law.gains.position_1_s2,
-        gain_velocity_1_s=law.gains.velocity_1_s,
-        exponent=law.weighting.exponent,
-        weight_ratio=law.weighting.ratio,
+        gain_position_1_s2=law.position_gain_1_s2,
+        gain_velocity_1_s=law.velocity_gain_1_s,
+        exponent=law.exponent,
+        weight_ratio=law.weight_ratio,
         feedforward=law.feedforward,
         stable=stable,
         lambda_min=float(spectrum[0]),
@@ -293,7 +294,7 @@ def _paths(subject: Subject, coupling: Coupling, start_errors_m: NDArray[np.floa
     return [found[i] for i in ids] if any(found.values()) else ()
 
 
-def _leader_settle_s(subject: Subject, law: FormationLaw, start_error_m: float) -> float | None:
+def _leader_settle_s(subject: Subject, law: NeighbourFeedback, start_error_m: float) -> float | None:
     alone, model = couple({1: []}, {1}, law), subject.model(subject.link_s)
     return settled_after_s(errors_over_time(alone, np.array([[start_error_m]]), model, PREDICT_S), SETTLED_WITHIN_M)
 
@@ -312,9 +313,8 @@ def _delay_margin_s(coupling: Coupling) -> float:
 
 
 def _more_velocity_gain(coupling: Coupling) -> Coupling:
-    gains = coupling.law.gains
-    more = Gains(gains.position_1_s2, gains.velocity_1_s * (1.0 + MORE))
-    return replace(coupling, law=replace(coupling.law, gains=more))
+    more = msgspec.structs.replace(coupling.law, velocity_gain_1_s=coupling.law.velocity_gain_1_s * (1.0 + MORE))
+    return replace(coupling, law=more)
 
 
 def _worst_transient_peak(coupling: Coupling, model: LinearModel) -> float | None:

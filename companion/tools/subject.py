@@ -21,8 +21,9 @@ from companion.assembly import flyable_problems
 from companion.config.file import SET, convert, kind_of_file, override, read_as
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import fleet_problems
+from companion.config.named_files import read_named
 from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
-from companion.config.reference import Reference, read_named
+from companion.config.reference import Reference
 from companion.config.validation import Problem, each, examine, unless_invalid
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import ZERO3, Vector3

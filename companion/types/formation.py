@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msgspec import Struct
 
 from companion.types.values import (
@@ -12,6 +14,7 @@ from companion.types.values import (
     MissionTime,
     Number,
     SlotsOfAll,
+    Vector3,
     VehicleId,
     VehicleIds,
 )
@@ -74,6 +77,28 @@ class FlownSlot(Struct, frozen=True, gc=False):
     def moves(self) -> bool:
         """Whether the slot moves relative to the RFT, other than by a rotation."""
         return self.moves_for_s > 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """K = [k1, k2]: k1 on position [1/s^2], k2 on velocity [1/s]."""
+
+    position_1_s2: float
+    velocity_1_s: float
+
+
+PAPER_GAINS = Gains(1.39, 1.2)  # K of section 5.1.1
+
+
+class FormationState(Struct, frozen=True, gc=False):
+    """State of a vehicle minus that of its slot: x - d_i0, velocity and last commanded acceleration, ENU.
+
+    In perfect formation the formation states of all vehicles equal R of the RFT.
+    """
+
+    position_enu_m: Vector3
+    velocity_enu_m_s: Vector3
+    acceleration_enu_m_s2: Vector3 = ZERO3
 
 
 class HeldReference(Struct, frozen=True, gc=False):

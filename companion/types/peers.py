@@ -13,6 +13,7 @@ from companion.types.values import Number, Part, Place, Position, Vector3, Vehic
 
 FORGOTTEN_S = 600.0  # a vehicle that is silent for so long is no obstacle any more: its battery lasts no longer
 MOST_LOST = 8  # so many in a packet
+MOST_VALUES = 4  # vectors that a law may publish
 
 LostAge = Annotated[float, Meta(ge=0, le=FORGOTTEN_S)]
 TermSignature = Annotated[bytes, Meta(min_length=64, max_length=64)]
@@ -74,7 +75,9 @@ class PeerPacket(Struct, frozen=True, gc=False):
     `change` is from a leader in formation, for vehicles that lack the change. `rft` is the state of the RFT (position,
     velocity, acceleration) by which a vehicle flies that is kept off its slot; None where its own position minus its slot
     counts. `home_enu_m` is where its autopilot's return ends, None where that is not certain. `lost` tells vehicles that start
-    later of those that are silent and may still be in the air. The order of the fields is that of the bytes.
+    later of those that are silent and may still be in the air. `law_values` is what
+    the law publishes of its own, at most MOST_VALUES vectors in formation; the formation hash contains the law. The order of
+    the fields is that of the bytes.
     """
 
     sender: Sender
@@ -90,6 +93,7 @@ class PeerPacket(Struct, frozen=True, gc=False):
     rft: tuple[Vector3, Vector3, Vector3] | None = None
     home_enu_m: Place | None = None
     lost: tuple[LostVehicle, ...] = ()
+    law_values: tuple[Vector3, ...] = ()
 
 
 class ReceivedPeerPacket(Struct, frozen=True, gc=False):

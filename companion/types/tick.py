@@ -14,7 +14,8 @@ from companion.types.status import Status
 class Inbox(Struct, frozen=True, gc=False):
     """Input since the last tick. `stopping`: the process is to end, after a hand-over from formation.
 
-    `late_s`: how much later than due this tick began, seconds. The first `early` packets of `peers`, and all commands and
+    `late_s`: how much later than due this tick began, seconds. `law_s`: how long a law from outside took in the tick before,
+    seconds; 0 for a built-in one, and in virtual time. The first `early` packets of `peers`, and all commands and
     targets, were there when the tick was prepared, at `prepared_s`; None where that was done with the rest.
     """
 
@@ -27,6 +28,7 @@ class Inbox(Struct, frozen=True, gc=False):
     traffic: tuple[ReceivedTraffic, ...] = ()
     prepared_s: float | None = None
     early: int = 0
+    law_s: float = 0.0
 
 
 class Outbox(Struct, frozen=True, gc=False):

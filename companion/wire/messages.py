@@ -21,6 +21,7 @@ from companion.types.formation import EAST, FlownSlot, FormationChange, Heading,
 from companion.types.notices import Code
 from companion.types.peers import (
     MOST_LOST,
+    MOST_VALUES,
     LeaderReport,
     LostAge,
     LostVehicle,
@@ -48,7 +49,7 @@ from companion.types.values import (
     VehicleIds,
 )
 
-WIRE_VERSION = 10
+WIRE_VERSION = 11
 
 T = TypeVar("T")
 
@@ -219,6 +220,7 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     term_proof: tuple[Number, TermSignature] | None
     home_enu_m: Place | None
     lost: Annotated[tuple[tuple[VehicleId, Position, Vector3, LostAge], ...], msgspec.Meta(max_length=MOST_LOST)]
+    law_values: Annotated[tuple[Vector3, ...], msgspec.Meta(max_length=MOST_VALUES)]
 
 
 _peer_decoder = msgspec.msgpack.Decoder(_PeerWire)
@@ -254,6 +256,7 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 term_proof=(proof.session, proof.signature) if proof else None,
                 home_enu_m=packet.home_enu_m,
                 lost=tuple([astuple(lost) for lost in packet.lost]) if packet.lost else (),
+                law_values=packet.law_values,
             )
         )
     )
@@ -295,4 +298,5 @@ def decode_peer(data: bytes) -> PeerPacket:
         rft=wire.rft,
         home_enu_m=wire.home_enu_m,
         lost=tuple([LostVehicle(*lost) for lost in wire.lost]) if wire.lost else (),
+        law_values=wire.law_values,
     )

@@ -65,6 +65,7 @@ def _round_packet(packet: PeerPacket) -> PeerPacket:
         position_error=_error(error) if error else None,
         rft=_motion(*rft) if rft else None,
         lost=tuple([_lost(lost) for lost in packet.lost]) if packet.lost else (),
+        law_values=tuple([rounded(value, LENGTH) for value in packet.law_values]) if packet.law_values else (),
     )
 
 

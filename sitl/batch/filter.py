@@ -15,7 +15,7 @@ import numpy as np
 
 from companion.analysis.interaction import FloatArray
 from companion.assembly import bounds_of, safety_filter_of, separation_settings_of, vertical_braking_m_s2
-from companion.core.consensus.law import FormationState, KeptOff
+from companion.core.consensus.kept_off import KeptOff
 from companion.core.filter.filter import (
     BOUNDARY_RESPONSE_1_S,
     FASTEST_RETURN_M_S,
@@ -33,7 +33,7 @@ from companion.core.filter.solver import MET_M_S2, NEVER_ACTIVE_M_S2, VEHICLE
 from companion.core.filter.vehicles import Barrier, Separation
 from companion.geometry.formations import HEIGHT_WEIGHT
 from companion.types.autopilot import VehicleState
-from companion.types.formation import FlownSlot
+from companion.types.formation import FlownSlot, FormationState
 from companion.types.values import ZERO3, Vector3
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.columns import BoolArray, Columns, IntArray

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.analysis.interaction import FloatArray
-from companion.assembly import law_of
+from companion.config.law import feedback_law_of
 from companion.config.reference import Reference
-from companion.core.consensus.law import FormationState
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.flight import Role
+from companion.types.formation import FormationState
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.flight.files import known_drag_1_s
 from sitl.flight.scenario import Scenario, reference_of
@@ -24,7 +24,7 @@ class BatchLaws:
     """Law, role and slot of each column. Arrays per column are (B n,) or (k, B n)."""
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns) -> None:
-        laws = [law_of(scenario.fleet.law) for scenario in scenarios]
+        laws = [feedback_law_of(scenario.fleet.law) for scenario in scenarios]
         holds = [scenario.fleet.law.altitude == "hold" for scenario in scenarios]
         hold_gains = [scenario.fleet.law.altitude_hold_gains for scenario in scenarios]
         members = [sorted(scenario.fleet.vehicles, key=lambda member: member.id) for scenario in scenarios]
@@ -33,11 +33,11 @@ class BatchLaws:
         self.slots_by_vehicle_enu_m: FloatArray = slots
         self.slot_enu_m = columns.in_columns(slots)
         self.is_leader: BoolArray = columns.in_columns(leaders)[0] > 0.0
-        self._exponent = columns.spread([law.weighting.exponent for law in laws])
-        self._ratio = columns.spread([law.weighting.ratio for law in laws])
+        self._exponent = columns.spread([law.exponent for law in laws])
+        self._ratio = columns.spread([law.weight_ratio for law in laws])
         self._vehicles = columns.vehicles
-        self._k1 = columns.spread([law.gains.position_1_s2 for law in laws])
-        self._k2 = columns.spread([law.gains.velocity_1_s for law in laws])
+        self._k1 = columns.spread([law.position_gain_1_s2 for law in laws])
+        self._k2 = columns.spread([law.velocity_gain_1_s for law in laws])
         self._feedforward = columns.spread([law.feedforward for law in laws])
         self._drag_1_s = columns.spread([known_drag_1_s(scenario) for scenario in scenarios])
         coupled = columns.spread([float(law.leader_uses_neighbours) for law in laws])

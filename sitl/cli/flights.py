@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 from companion.cli.options import add_overrides
 from companion.cli.program import command
 from companion.config.file import ConfigError
-from companion.config.fleet import LawName
+from companion.config.law import USUAL
 from sitl.cli.options import (
     add_autopilot,
     add_out,
     add_out_and_quiet,
     add_port_offset,
     add_scenario,
+    law_argument,
     options_of,
     overrides_of,
 )
@@ -23,21 +24,21 @@ from sitl.cli.options import (
 if TYPE_CHECKING:
     from sitl.flight.flights import FlightOptions
 
-LAWS: tuple[LawName, ...] = get_args(LawName)
+LAW_HELP = "a built-in law, an installed one, or a Python file with one"
 
 
 def add_flight_arguments(parser: argparse.ArgumentParser) -> None:
     """What `sitl run` and `sitl fly` have in common."""
     add_scenario(parser)
-    parser.add_argument("--law", choices=LAWS, help="fly with this law (short for --set fleet.law.name=LAW)")
+    parser.add_argument("--law", type=law_argument, metavar="LAW", help=f"fly with this law: {LAW_HELP}")
     add_autopilot(parser)
     parser.add_argument(
         "--compare",
         dest="others",
         nargs="*",
-        choices=LAWS,
+        type=law_argument,
         metavar="LAW",
-        help="fly with the scenario's law, then with these (default: with all others), and compare",
+        help="fly with the scenario's law, then with these (default: with those of the paper and cooperative), and compare",
     )
     add_overrides(parser, "change one key of the scenario")
     parser.add_argument("--anyway", action="store_true", help="fly a formation that `companion analyze` rejects")
@@ -207,7 +208,7 @@ def flight_options(parsed: argparse.Namespace) -> FlightOptions:
         raise ConfigError(
             "--autopilot", "", "chooses the stand-ins, and --external starts none; give one of the two options"
         )
-    others = LAWS if given.get("others") == [] else given.get("others")
+    others = USUAL if given.get("others") == [] else given.get("others")
     return options_of(FlightOptions, given | {"overrides": overrides_of(parsed), "others": others})
 
 

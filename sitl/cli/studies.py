@@ -82,7 +82,7 @@ def _run_sweep(options: argparse.Namespace) -> int:
 
     examples:
       sitl sweep platoon --vary fleet.law.name=weighted,average_22,average_26
-      sitl sweep platoon --vary fleet.law.exponent=0,1,2,8 --vary links.peer_loss=0,0.1,0.3
+      sitl sweep platoon --vary fleet.law.parameters.exponent=0,1,2,8 --vary links.peer_loss=0,0.1,0.3
       sitl sweep platoon --vary fleet.law.name=weighted,cooperative \\
                  --vary links.peer_delay_s=0,0.05,0.1,0.2 --set stand_in.sensors=ideal --seeds 100 --seconds 40
 

@@ -10,7 +10,7 @@ import yaml
 from msgspec.structs import replace
 
 from companion.config.fleet import FleetConfig, GeodeticOrigin
-from companion.config.reference import carried
+from companion.config.named_files import carried
 from companion.config.values import MAX_DRAG_1_S, VehicleId
 from companion.config.vehicle import DatagramEndpoints, RecordingSettings, VehicleConfig, ZenohEndpoints
 from companion.mavlink.autopilot_types import PROFILES

@@ -25,12 +25,12 @@ from companion.analysis.response import (
     links_borne_s,
     reached_from,
 )
-from companion.assembly import law_of
 from companion.config.file import ConfigError
-from companion.config.fleet import LawName
+from companion.config.law import LawName, law_of
 from companion.config.planned_flight import graph_in_slots, neighbour_graph
 from companion.config.reference import TargetReference
 from companion.core.reference.blend import ReferenceTrajectory
+from companion.laws._neighbour_feedback import NeighbourFeedback
 from companion.tools.analysis_report import BADLY_DAMPED, GROWS, SMALL_DELAY_MARGIN_S
 from companion.types.commands import CommandName
 from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
@@ -95,6 +95,8 @@ def check_convergence(scenario: Scenario) -> list[Notice]:
         ids = ", ".join(map(str, unreached))
         text = f"no path leads from a leader to vehicle {ids}; add an edge, more range, or a leader among them"
         raise _diverges(Notice(Code.NO_PATH_TO_LEADER, text))
+    if not isinstance(law, NeighbourFeedback):
+        return []
     couplings = [couple(each, leaders, law) for each in flown_graphs(graph, graph_in_slots(fleet), leaders)]
     link_s = scenario.links.peer_delay_s + 0.5 * scenario.links.peer_jitter_s
     models = [_model(scenario, borne_s) for borne_s in links_borne_s(link_s)]
@@ -203,12 +205,10 @@ def summarize(
     )
     sensors = stand_in.sensors if isinstance(stand_in.sensors, str) else "as given"
     slots_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles}
-    weighting = law_of(fleet.law).weighting
     return RunSummary(
         scenario=name,
         law=fleet.law.name,
-        exponent=weighting.exponent,
-        weight_ratio=weighting.ratio,
+        law_parameters=fleet.law.parameters,
         tracks=end.source,
         sensors=sensors if is_true else None,
         seed=stand_in.seed if is_true else None,

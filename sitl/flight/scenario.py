@@ -14,8 +14,10 @@ from msgspec.structs import replace
 
 from companion.assembly import flyable_problems, trajectory_of
 from companion.config.file import SET, convert, override, read_as
-from companion.config.fleet import FleetConfig, LawName
+from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import checkable
+from companion.config.law import PYTHON, LawName, law_in_file
+from companion.config.named_files import read_named
 from companion.config.planned_flight import (
     HeadingDeg,
     PlannedFlight,
@@ -25,7 +27,7 @@ from companion.config.planned_flight import (
     planned_problems,
     starts_of,
 )
-from companion.config.reference import KnownReference, Reference, command_problems, read_named
+from companion.config.reference import KnownReference, Reference, command_problems
 from companion.config.validation import Problem, each, unless_invalid
 from companion.config.values import Drag, HoverThrust, Name, PositionM, Section, VehicleId
 from companion.core.reference.blend import ReferenceTrajectory
@@ -274,6 +276,8 @@ def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
     if not overrides:
         return scenario
     data = override(data, overrides, "fleet.law.name=average_22 or timeline[3].for_s=20")
+    if str(law := data["fleet"].get("law", {}).get("name")).endswith(PYTHON):  # named by the user, anywhere
+        data["fleet"]["law"] |= law_in_file(law)
     return scenario_from(SET, read_named(data, path))
 
 

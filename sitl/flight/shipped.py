@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from companion.config.file import ConfigError, read_yaml
-from companion.config.fleet import Law
+from companion.config.law import LawSection
 
 SHIPPED = Path(__file__).parents[1] / "scenarios"  # package data: a link to config/scenarios in the source tree
 MOST_HINTS = 3
@@ -40,5 +40,5 @@ def shipped_lines() -> Iterator[str]:
         content = read_yaml(SHIPPED / f"{name}.yaml")
         fleet, (sentence, _, _) = content["fleet"], content["description"].partition(". ")
         count = fleet["vehicles"] if isinstance(fleet["vehicles"], int) else len(fleet["vehicles"])
-        law = fleet.get("law", {}).get("name", Law().name)
+        law = fleet.get("law", {}).get("name", LawSection().name)
         yield f"{name:<{max(map(len, names))}}  {count:>3} vehicles  {law:<11}  {sentence.rstrip('.')}."

@@ -5,13 +5,13 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Collection, Mapping
 
-from companion.core.consensus.law import FormationState
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.geometry.formations import turned_slot
 from companion.ground.answers import TimedReply, id_list
 from companion.ground.fleet_state import FleetState, ReportedVehicle, fold, vehicles_at
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, Role
+from companion.types.formation import FormationState
 from companion.types.status import Status
 from companion.types.values import ZERO3, Vector3
 from companion.wire.messages import StatusReport, Timing

@@ -14,7 +14,8 @@ from typing import Any, Literal
 
 import msgspec
 
-from companion.config.fleet import FleetConfig, LawName
+from companion.config.fleet import FleetConfig
+from companion.config.law import LawName
 from companion.config.planned_flight import DEFAULT_ORIGIN
 from companion.geometry.formations import SHAPES, slots_of
 from companion.types.autopilot import AutopilotKind

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from math import dist, inf
 
-from companion.config.fleet import LawName, RangeNeighbours
+from companion.config.fleet import RangeNeighbours
+from companion.config.law import LawName
 from sitl.paper.flights import (
     NOISY_LAWS,
     PERFECT,

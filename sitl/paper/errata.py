@@ -10,8 +10,11 @@ from scipy.optimize import brentq
 
 from companion.analysis.interaction import interaction_matrix
 from companion.analysis.response import settled_prcs
-from companion.core.consensus.law import average_22, average_26, neighbour_weights, weighted
 from companion.core.control.setpoint import attitude_target
+from companion.laws import neighbour_weights
+from companion.laws.average_22 import Average22
+from companion.laws.average_26 import Average26
+from companion.laws.weighted import Weighted
 from companion.types.values import GRAVITY_M_S2
 from sitl.paper.spectrum import lambda_min
 from sitl.paper.theorems import printed_prcs
@@ -83,7 +86,7 @@ def _solve(function: Callable[[float], float], value: float) -> float:
 
 def _equation_11() -> Erratum:
     """As printed, the sum runs over i and uses w_ii, which is zero: no neighbour remains."""
-    platoon = interaction_matrix(PLATOON, {1}, weighted())
+    platoon = interaction_matrix(PLATOON, {1}, Weighted())
     left = platoon.sum(axis=1)  # rows of G add up to w_i^l
     return erratum_of("eq. 11", left=", ".join(f"{abs(round(value, 9)):g}" for value in left))
 
@@ -96,19 +99,19 @@ def _algorithm_1() -> Erratum:
 
 def _algorithm_2() -> Erratum:
     graph: dict[int, set[int]] = {1: set(), 2: set()}
-    matrix = interaction_matrix(graph, {1}, weighted())
-    count = len(neighbour_weights([], weighted().weighting))
+    matrix = interaction_matrix(graph, {1}, Weighted())
+    count = len(neighbour_weights(()))
     return erratum_of("Algorithm 2", count=count, leader=matrix[0, 0], follower=matrix[1, 1])
 
 
 def _equation_16() -> Erratum:
     """Without the bracket, -K does not change the minus sign of the neighbours' errors."""
-    platoon = interaction_matrix(PLATOON, {1}, weighted())
+    platoon = interaction_matrix(PLATOON, {1}, Weighted())
     return erratum_of("eq. 16, the line before it", without=np.abs(platoon[1]).sum(), right=platoon[1].sum())
 
 
 def _equation_26() -> Erratum:
-    least = [lambda_min(interaction_matrix(PLATOON, {1}, law)) for law in (average_22(), average_26())]
+    least = [lambda_min(interaction_matrix(PLATOON, {1}, law)) for law in (Average22(), Average26())]
     return erratum_of("eq. 26", least_22=least[0], least_26=least[1])
 
 

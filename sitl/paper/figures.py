@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from companion.analysis.interaction import FloatArray
-from companion.config.fleet import LawName
+from companion.config.law import LawName
 from companion.report.plotting import (
     DPI,
     GUIDE,

@@ -13,9 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from companion.analysis.interaction import FloatArray
-from companion.assembly import law_of
-from companion.config.fleet import LawName
-from companion.core.consensus.law import neighbour_weights
+from companion.config.law import LawName, law_of
 from companion.types.errors import FailedError
 from companion.types.flight import Role
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
@@ -223,9 +221,8 @@ def reported_matrix(flown: FlownPlan, topology: Topology) -> FloatArray:
     for row, i in enumerate(ids):
         report = topology[i]
         is_leader = report.role is Role.LEADER
-        neighbours = report.neighbours if not is_leader or law.leader_uses_neighbours else ()
-        weights = neighbour_weights([topology[j].prc for j in neighbours], law.weighting)
-        for j, weight in zip(neighbours, weights, strict=True):
+        weights = law.weights(is_leader, [topology[j].prc for j in report.neighbours])
+        for j, weight in zip(report.neighbours, weights, strict=False):  # none: the leader uses no neighbours
             matrix[row, ids.index(j)] = -weight
         matrix[row, row] = sum(weights) + is_leader
     return matrix

@@ -16,7 +16,11 @@ import numpy as np
 
 from companion.analysis.interaction import FloatArray, interaction_matrix
 from companion.analysis.response import Graph, hops, settled_prcs
-from companion.core.consensus.law import FormationLaw, average_22, average_26, neighbour_weights, weighted
+from companion.laws import neighbour_weights
+from companion.laws._neighbour_feedback import NeighbourFeedback
+from companion.laws.average_22 import Average22
+from companion.laws.average_26 import Average26
+from companion.laws.weighted import Weighted
 from companion.types.values import Vector3
 from sitl.paper.words import claim_of, verdict_of
 from sitl.report.claim import Claim
@@ -195,9 +199,9 @@ def matrix_claims() -> list[Claim]:
 def eq_27() -> Claim:
     """G1 and G2 of the aggregation at its start, with leader 1."""
     graph = aggregation_graph()
-    parts = [("G1", EQ_27_G1, {1}, average_26()), ("G2", EQ_27_G2, {1}, weighted())]
-    is_eq_26 = _difference(interaction_matrix(graph, {1}, average_26()), EQ_27_G1) <= EXACT
-    off_eq_22 = np.abs(interaction_matrix(graph, {1}, average_22()) - printed_matrix(EQ_27_G1))
+    parts = [("G1", EQ_27_G1, {1}, Average26()), ("G2", EQ_27_G2, {1}, Weighted())]
+    is_eq_26 = _difference(interaction_matrix(graph, {1}, Average26()), EQ_27_G1) <= EXACT
+    off_eq_22 = np.abs(interaction_matrix(graph, {1}, Average22()) - printed_matrix(EQ_27_G1))
     rows = [i for i, row in zip(sorted(graph), off_eq_22, strict=True) if row.max() > EXACT]
     return _matrix_claim(
         "eq-27",
@@ -213,14 +217,14 @@ def eq_27() -> Claim:
 
 def section_5_2() -> Claim:
     """Both matrices of the ring of four with its leader change."""
-    parts = [("led by 1", RING_LED_BY_1, {1}, weighted()), ("led by 2", RING_LED_BY_2, {2}, weighted())]
+    parts = [("led by 1", RING_LED_BY_1, {1}, Weighted()), ("led by 2", RING_LED_BY_2, {2}, Weighted())]
     return _matrix_claim("section-5.2", ring(4).adjacency(), parts, {})
 
 
 def _matrix_claim(
     claim_id: str,
     graph: Graph,
-    parts: list[tuple[str, list[str], set[int], FormationLaw]],
+    parts: Sequence[tuple[str, list[str], set[int], NeighbourFeedback]],
     measured: dict[str, float],
     **values: object,
 ) -> Claim:
@@ -260,7 +264,7 @@ def weights_of(graph: Graph, leaders: Collection[int], vertex: int) -> dict[int,
     """Neighbour -> weight, by Algorithms 1 and 2."""
     prcs = settled_prcs(graph, leaders)
     neighbours = sorted(graph[vertex])
-    return dict(zip(neighbours, neighbour_weights([prcs[j] for j in neighbours], weighted().weighting), strict=True))
+    return dict(zip(neighbours, neighbour_weights(tuple([prcs[j] for j in neighbours])), strict=True))
 
 
 def printed_matrix(rows: Sequence[str]) -> FloatArray:

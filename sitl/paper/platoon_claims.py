@@ -7,7 +7,7 @@ from math import inf
 
 import numpy as np
 
-from companion.config.fleet import LawName
+from companion.config.law import LawName
 from sitl.paper.flights import COMPARED, PERFECT, Book, FlightSubject, FlownPlan, Model, response_s, results
 from sitl.paper.words import claim_of, join_words, metres, seconds, verdict_of
 from sitl.report.claim import Claim

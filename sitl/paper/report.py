@@ -13,8 +13,8 @@ from msgspec import Struct
 
 from companion import __version__
 from companion.analysis.interaction import FloatArray, interaction_matrix
-from companion.assembly import law_of
 from companion.config.fleet import EdgeNeighbours
+from companion.config.law import feedback_law_of
 from companion.report.page import templates_of
 from companion.types.flight import Role
 from sitl.paper.flights import COMPARED, PERFECT, Book, FlightSubject, FlownPlan, Model
@@ -183,11 +183,11 @@ def ideal_figures(flown: FlownPlan, delay_s: float) -> IdealFigures:
         raise TypeError("eq. 18 needs a fixed graph")
     ids = sorted(flight.tracks)
     leaders = {member.id for member in fleet.vehicles if member.role is Role.LEADER}
-    matrix = interaction_matrix(graph_of(ids, fleet.neighbours.edges), leaders, law_of(fleet.law))
+    matrix = interaction_matrix(graph_of(ids, fleet.neighbours.edges), leaders, feedback_law_of(fleet.law))
     slots_m = np.array([flight.slots_enu_m[i][0] for i in ids])
     starts_m = np.array([flown.scenario.starts_enu_m[i][0] for i in ids])
     errors_m = starts_m - flight.reference(0.0).position_enu_m[0] - slots_m
-    gains = law_of(fleet.law).gains
+    gains = feedback_law_of(fleet.law).gains
     duration_s = flight.formation.end_s - flight.formation.start_s
     history_m = _errors_m(matrix, (gains.position_1_s2, gains.velocity_1_s), errors_m, duration_s, delay_s)
     apart_m = np.abs(np.diff(history_m + slots_m, axis=1)).max(axis=0)

@@ -10,7 +10,7 @@ import numpy as np
 
 from companion.analysis.interaction import FloatArray
 from companion.analysis.response import hops
-from companion.config.fleet import LawName
+from companion.config.law import LawName
 from companion.config.reference import Figure8Reference
 from sitl.paper.flights import (
     PERFECT,

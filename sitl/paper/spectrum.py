@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from companion.analysis.interaction import FloatArray, interaction_matrix
 from companion.analysis.response import settled_prcs
-from companion.core.consensus.law import average_22, average_26, weighted
+from companion.laws.average_22 import Average22
+from companion.laws.average_26 import Average26
+from companion.laws.weighted import Weighted
 from sitl.paper.graphs import Led, connected_graphs, describe, every_small_pair, random_pairs, random_parts, unite
 from sitl.paper.words import claim_of, verdict_of
 from sitl.report.claim import Claim, ClaimVerdict, Progress, no_progress
@@ -99,7 +101,7 @@ def corollary_2(survey: GraphSurvey) -> Claim:
 
 def _spectrum(pair: Led) -> ComplexArray:
     """Eigenvalues of G under the weighted law."""
-    return spectrum_of(interaction_matrix(pair.graph, pair.leaders, weighted()))
+    return spectrum_of(interaction_matrix(pair.graph, pair.leaders, Weighted()))
 
 
 Item = TypeVar("Item")
@@ -184,7 +186,7 @@ def with_progress(items: Sequence[Item], progress: Progress) -> Iterator[Item]:
 
 
 def spectra_of(pair: Led) -> GraphSpectra:
-    matrix = interaction_matrix(pair.graph, pair.leaders, weighted())
+    matrix = interaction_matrix(pair.graph, pair.leaders, Weighted())
     spectrum = spectrum_of(matrix)
     similar = symmetric_form(pair, matrix)
     return GraphSpectra(
@@ -194,8 +196,8 @@ def spectra_of(pair: Led) -> GraphSpectra:
         largest_imaginary=float(np.abs(spectrum.imag).max()),
         symmetric_eigenvalues=np.asarray(np.linalg.eigvalsh(similar), dtype=np.float64),
         asymmetry=float(np.abs(similar - similar.T).max()),
-        lambda_min_22=lambda_min(interaction_matrix(pair.graph, pair.leaders, average_22())),
-        lambda_min_26=lambda_min(interaction_matrix(pair.graph, pair.leaders, average_26())),
+        lambda_min_22=lambda_min(interaction_matrix(pair.graph, pair.leaders, Average22())),
+        lambda_min_26=lambda_min(interaction_matrix(pair.graph, pair.leaders, Average26())),
     )
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from companion.analysis.interaction import FloatArray, mode_figures
 from companion.analysis.response import Graph, hops
-from companion.core.consensus.law import PAPER_GAINS, Gains, next_prc
+from companion.core.consensus.law import next_prc
+from companion.types.formation import PAPER_GAINS, Gains
 from sitl.paper.graphs import (
     Led,
     aggregation_graph,

@@ -12,13 +12,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import get_args
 
-from companion.config.fleet import LawName
+from companion.config.law import BUILT_IN
 from companion.types.errors import UnusableError
 
 RUNS = Path("runs")
-LAWS: tuple[LawName, ...] = get_args(LawName)
+LAWS = BUILT_IN
 OWN_FILES = re.compile(
     r"summary\.json|comparison\.(json|png)|figure_[56]\.png|from_above\.png|(scenario|fleet|vehicle_\d+|autopilot_\d+)\.yaml"
     r"|(truth|estimated)_\d+\.csv|(agent|autopilot)_\d+\.log|(vehicle_\d+|ground)_\d+_\d+\.(mcap|tlog)"

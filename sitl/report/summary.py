@@ -59,8 +59,7 @@ class RunSummary(Struct, frozen=True, kw_only=True):
     schema: int = SCHEMA
     scenario: str
     law: str
-    exponent: float
-    weight_ratio: float
+    law_parameters: dict[str, bool | int | float | str]
     vehicles: list[VehicleSummary]
     tracks: TrackSource = "true"
     sensors: str | None

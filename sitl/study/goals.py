@@ -8,8 +8,8 @@ from statistics import median
 from typing import NamedTuple
 
 from companion.analysis.prediction import SETTLED_WITHIN_M
-from companion.assembly import law_of
 from companion.config.fleet import Envelope
+from companion.config.law import feedback_law_of
 from companion.types.values import GRAVITY_M_S2
 from sitl.report.claim import Claim, ClaimVerdict
 from sitl.study.cases import Figures
@@ -114,7 +114,7 @@ def _sooner(shape: str, quiet: Sequence[Figures], noisy: Sequence[Pair], with_dr
 def _why_not_the_band(noisy: Sequence[Pair], rest_m: Sequence[float]) -> str:
     """Text: why the verdict is on the transient, with the figures of the band and of the step."""
     band_m, step_m = noisy[0].step.within_m, noisy[0].step.step_m
-    most_m = GRAVITY_M_S2 * tan(radians(Envelope().max_tilt_deg)) / law_of(COOPERATIVE.law).gains.position_1_s2
+    most_m = GRAVITY_M_S2 * tan(radians(Envelope().max_tilt_deg)) / feedback_law_of(COOPERATIVE.law).gains.position_1_s2
     errors = ", ".join(f"{value:.2f}" for value in rest_m)
     return (
         f"The verdict is on this time, not on a band: noise alone causes errors of up to {errors} m at rest, so the band that "

@@ -7,17 +7,21 @@ from math import isqrt
 
 import numpy as np
 
-from companion.core.consensus.law import FormationLaw, average_22, average_26, cooperative, weighted
+from companion.laws._neighbour_feedback import NeighbourFeedback
+from companion.laws.average_22 import Average22
+from companion.laws.average_26 import Average26
+from companion.laws.cooperative import Cooperative
+from companion.laws.weighted import Weighted
 from sitl.study.shapes import LEADER, Shape, chain, grid, random_geometric, ring
 from sitl.study.spectra import lambda_min, mu_min
 
 SIZES = (4, 16, 64, 256, 1024, 4096, 10_000)
 SEED = 1
-LAWS: dict[str, FormationLaw] = {
-    "average, eq. 22": average_22(),
-    "average, eq. 26": average_26(),
-    "weighted (the paper)": weighted(),
-    "cooperative": cooperative(),
+LAWS: dict[str, NeighbourFeedback] = {
+    "average, eq. 22": Average22(),
+    "average, eq. 26": Average26(),
+    "weighted (the paper)": Weighted(),
+    "cooperative": Cooperative(),
 }
 WITH_FEEDFORWARD = "cooperative, with feed-forward"  # the smallest eigenvalue of (I - g W)^-1 G, which sets the rate
 
@@ -45,7 +49,7 @@ def large_spectra(progress: Callable[[float], None]) -> Spectra:
             graph, n = shape.adjacency(), len(shape.slots_enu_m)
             for label, law in LAWS.items():
                 found[kind][label].append((n, lambda_min(graph, {LEADER}, law)))
-            found[kind][WITH_FEEDFORWARD].append((n, mu_min(graph, {LEADER}, cooperative())))
+            found[kind][WITH_FEEDFORWARD].append((n, mu_min(graph, {LEADER}, Cooperative())))
             done += 1
             progress(done / (len(KINDS) * len(SIZES)))
     return found

@@ -21,8 +21,7 @@ from math import inf
 from msgspec import Struct
 
 from companion.analysis.prediction import SETTLED_WITHIN_M
-from companion.assembly import law_of
-from companion.config.fleet import Law
+from companion.config.law import LawSection, feedback_law_of
 from sitl.batch.flight import fly_batch
 from sitl.study.cases import BAD_LINKS, GOOD_LINKS, STEP_M, Case, Figures, Sensing, fly, settled_s
 from sitl.study.settings import AVERAGE_22, Setting
@@ -34,7 +33,7 @@ RATIOS = (0.3, 0.1, 0.03, 0.01)
 FED_FORWARD = (0.9, 0.95, 0.97, 0.98, 0.99)
 LOST_ROOM_M = 0.04
 AS_SOON = 1.25
-LEADER_ALONE = Setting("leader alone", Law(name="cooperative", leader_uses_neighbours=False))
+LEADER_ALONE = Setting("leader alone", LawSection(name="cooperative", parameters={"leader_uses_neighbours": False}))
 FLOWN_S = 60.0
 AT_ONCE = 8  # formations in one batch
 
@@ -66,13 +65,18 @@ CONDITIONS = (
 
 def candidate(ratio: float, feedforward: float) -> Setting:
     """`cooperative` with weights that fall by this ratio per hop."""
-    law = Law(name="cooperative", exponent=0.0, weight_ratio=ratio, feedforward=feedforward)
+    law = LawSection(
+        name="cooperative", parameters={"exponent": 0.0, "weight_ratio": ratio, "feedforward": feedforward}
+    )
     return Setting(f"rho {ratio:g}, g {feedforward:g}", law)
 
 
 CANDIDATES: tuple[Setting, ...] = (
     *(candidate(ratio, feedforward) for ratio, feedforward in product(RATIOS, FED_FORWARD)),
-    Setting("alpha 8, g 0.9", Law(name="cooperative", exponent=8.0, weight_ratio=1.0, feedforward=0.9)),
+    Setting(
+        "alpha 8, g 0.9",
+        LawSection(name="cooperative", parameters={"exponent": 8.0, "weight_ratio": 1.0, "feedforward": 0.9}),
+    ),
 )
 
 
@@ -154,11 +158,9 @@ def chosen(found: Sequence[Score]) -> Score | None:
     if not fit:
         return None
     soonest = min(_known(score) for score in fit)
-    laws = {setting.label: law_of(setting.law) for setting in CANDIDATES}
+    laws = {setting.label: feedback_law_of(setting.law) for setting in CANDIDATES}
     as_soon = [score for score in fit if _known(score) <= soonest * AS_SOON]
-    return min(
-        as_soon, key=lambda s: (laws[s.setting].feedforward, round(_known(s), 1), -laws[s.setting].weighting.ratio)
-    )
+    return min(as_soon, key=lambda s: (laws[s.setting].feedforward, round(_known(s), 1), -laws[s.setting].weight_ratio))
 
 
 def _known(score: Score) -> float:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from companion.assembly import law_of
+from companion.config.law import feedback_law_of
 from companion.report.plotting import COLOURS, DPI, GUIDE, MARKERS, dress, dress_logarithmic, titled_figure
 from sitl.study.selection import CANDIDATES, LOST_ROOM_M, Score
 
@@ -47,10 +47,10 @@ def _nearer_m(score: Score) -> float:
 
 def _draw_points(axes: Axes, found: Sequence[Score], never: float) -> None:
     """One marker per ratio; the feed-forward stands beside the points of the first ratio and of the power."""
-    laws = [law_of(candidate.law) for candidate in CANDIDATES]
-    ratios = list(dict.fromkeys(law.weighting.ratio for law in laws))
+    laws = [feedback_law_of(candidate.law) for candidate in CANDIDATES]
+    ratios = list(dict.fromkeys(law.weight_ratio for law in laws))
     for index, ratio in enumerate(ratios):
-        rows = [(score, law) for score, law in zip(found, laws, strict=True) if law.weighting.ratio == ratio]
+        rows = [(score, law) for score, law in zip(found, laws, strict=True) if law.weight_ratio == ratio]
         x = [never if score.settling is None else score.settling for score, _ in rows]
         axes.plot(
             x,
@@ -61,7 +61,7 @@ def _draw_points(axes: Axes, found: Sequence[Score], never: float) -> None:
             markerfacecolor=COLOURS[index],
             markeredgecolor="black",
             markeredgewidth=0.6,
-            label=f"rho {ratio:g}" if ratio < 1.0 else f"alpha {rows[0][1].weighting.exponent:g}",
+            label=f"rho {ratio:g}" if ratio < 1.0 else f"alpha {rows[0][1].exponent:g}",
         )
         if index == 0 or ratio == 1.0:
             for place, (score, law) in zip(x, rows, strict=True):

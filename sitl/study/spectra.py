@@ -15,13 +15,13 @@ from scipy.sparse.linalg import LinearOperator, eigs, eigsh, splu
 
 from companion.analysis.interaction import couple, eigenvalues, mode_eigenvalues
 from companion.analysis.response import Graph, reached_from, settled_prcs
-from companion.core.consensus.law import FormationLaw, neighbour_weights
+from companion.laws._neighbour_feedback import NeighbourFeedback
 
 DENSE_UP_TO = 20  # vehicles; the Lanczos method needs more dimensions than that
 Sparse = Any  # scipy's sparse arrays have no types
 
 
-def weight_matrix(graph: Graph, leaders: Collection[int], law: FormationLaw) -> Sparse:
+def weight_matrix(graph: Graph, leaders: Collection[int], law: NeighbourFeedback) -> Sparse:
     """w_ij (n x n), rows and columns in rising order of the ids; the row of a leader without coupling is zero."""
     prcs = settled_prcs(graph, leaders)
     ids = sorted(graph)
@@ -30,14 +30,15 @@ def weight_matrix(graph: Graph, leaders: Collection[int], law: FormationLaw) -> 
     columns: list[int] = []
     values: list[float] = []
     for i in ids:
-        neighbours = sorted(graph[i]) if i not in leaders or law.leader_uses_neighbours else []
-        rows += [column[i]] * len(neighbours)
-        columns += [column[j] for j in neighbours]
-        values += neighbour_weights([prcs[j] for j in neighbours], law.weighting)
+        neighbours = sorted(graph[i])
+        shares = law.weights(i in leaders, [prcs[j] for j in neighbours])
+        rows += [column[i]] * len(shares)
+        columns += [column[j] for j in neighbours if shares]
+        values += shares
     return csc_array((values, (rows, columns)), shape=(len(ids), len(ids)))
 
 
-def interaction_matrix(graph: Graph, leaders: Collection[int], law: FormationLaw) -> Sparse:
+def interaction_matrix(graph: Graph, leaders: Collection[int], law: NeighbourFeedback) -> Sparse:
     """G (n x n) of eq. 6."""
     weights = weight_matrix(graph, leaders, law)
     return (diags_array(weights.sum(axis=1) + _leader_diagonal(graph, leaders)) - weights).tocsc()
@@ -51,7 +52,7 @@ def symmetric_weights(weights: Sparse) -> Sparse:
     return weights.multiply(weights.T).sqrt().tocsc()
 
 
-def lambda_min(graph: Graph, leaders: Collection[int], law: FormationLaw) -> float:
+def lambda_min(graph: Graph, leaders: Collection[int], law: NeighbourFeedback) -> float:
     """The smallest eigenvalue of G, by shift-invert about zero. Zero where a vehicle has no path to a leader."""
     if len(reached_from(graph, leaders)) < len(graph):
         return 0.0
@@ -63,7 +64,7 @@ def lambda_min(graph: Graph, leaders: Collection[int], law: FormationLaw) -> flo
     return float(values[0])
 
 
-def mu_min(graph: Graph, leaders: Collection[int], law: FormationLaw) -> float:
+def mu_min(graph: Graph, leaders: Collection[int], law: NeighbourFeedback) -> float:
     """The smallest eigenvalue of M = (I - g W)^-1 G, which sets the rate with feed-forward; lambda_min without it.
 
     1 / mu is the largest eigenvalue of G^-1 (I - g W), which is real (see `mode_eigenvalues`).
@@ -82,7 +83,7 @@ def mu_min(graph: Graph, leaders: Collection[int], law: FormationLaw) -> float:
     return float(1.0 / values[0].real)
 
 
-def _symmetric(graph: Graph, leaders: Collection[int], law: FormationLaw) -> tuple[Sparse, Sparse]:
+def _symmetric(graph: Graph, leaders: Collection[int], law: NeighbourFeedback) -> tuple[Sparse, Sparse]:
     """The symmetric matrix with G's eigenvalues, and the symmetric weights in it."""
     weights = weight_matrix(graph, leaders, law)
     symmetric = symmetric_weights(weights)

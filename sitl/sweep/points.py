@@ -21,7 +21,7 @@ from sitl.sweep.options import MAX_FLIGHTS, SHORTEST_S
 Value = bool | int | float | str
 
 VARY = "--vary"
-EXAMPLE = "fleet.law.exponent=0,1,2"
+EXAMPLE = "fleet.law.parameters.exponent=0,1,2"
 SEED, TIMELINE = "stand_in.seed", "timeline"
 
 

@@ -9,8 +9,9 @@ from math import cos, dist, pi, sin, sqrt
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from companion.config.fleet import FleetConfig, Law, LawName
+from companion.config.fleet import FleetConfig
 from companion.config.fleet import RangeNeighbours as Range
+from companion.config.law import LawName, LawSection
 from companion.config.reference import PointReference
 from companion.types.commands import CommandName
 from companion.types.values import Vector3
@@ -46,7 +47,7 @@ class Start:
                 origin=ORIGIN,
                 vehicles=members_of(self._slots_enu_m()),
                 neighbours=neighbours,
-                law=Law(name=law),
+                law=LawSection(name=law),
                 takeoff_height_m=HEIGHT_M,
                 envelope=wide_fence(FENCE_M),
             ),

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.assembly import law_of
-from companion.config.fleet import Law, LawName
 from companion.config.fleet import RangeNeighbours as Range
+from companion.config.law import LawName, LawSection, feedback_law_of
 from companion.core.election.leadership import TURN_S
 from sitl.batch.flight import BatchFlight, fly_batch
 from sitl.study.cases import closest_m
@@ -53,7 +52,7 @@ def fly(plan: Plan) -> list[Topology]:
     neighbours = Range(range_m=plan.range_m, hysteresis_m=plan.hysteresis_m)
     scenarios = [start.scenario(plan.law, neighbours) for start in plan.starts]
     flight = fly_batch(scenarios, plan.duration_s, sample_s=SAMPLE_S, keep_neighbours=True)
-    spectra = Spectra(law_of(Law(name=plan.law)), len(plan.starts[0].starts_enu_m))
+    spectra = Spectra(feedback_law_of(LawSection(name=plan.law)), len(plan.starts[0].starts_enu_m))
     final_errors_m = flight.errors_m()[-1].max(axis=1)
     beacon_lost_s = scenarios[0].fleet.peers.leader_beacon_max_age_s + TURN_S  # after this time an agent hands over
     return [

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from companion.analysis.interaction import eigenvalues, interaction_matrix
 from companion.analysis.response import reached_from
-from companion.core.consensus.law import FormationLaw
+from companion.laws._neighbour_feedback import NeighbourFeedback
 from sitl.study.shapes import LEADER
 
 BoolArray = NDArray[np.bool_]
@@ -39,7 +39,7 @@ class Topology(Struct, frozen=True, kw_only=True):
 class Spectra:
     """lambda_min of topologies, computed once for each distinct topology."""
 
-    def __init__(self, law: FormationLaw, vehicles: int) -> None:
+    def __init__(self, law: NeighbourFeedback, vehicles: int) -> None:
         self._law = law
         self._ids = range(1, vehicles + 1)
         self._known: dict[bytes, float | None] = {}

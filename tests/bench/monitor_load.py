@@ -18,12 +18,11 @@ import yaml
 import zenoh
 
 from companion.analysis.response import settled_prcs
-from companion.assembly import law_of
 from companion.config.fleet import FleetConfig
 from companion.config.new_formation import NewFormation, planned_formation
 from companion.config.planned_flight import neighbour_graph
 from companion.config.reference import Reference
-from companion.core.consensus.law import neighbour_weights
+from companion.laws import neighbour_weights
 from companion.link.fleet.zenoh_session import EndpointError, open_session
 from companion.types.autopilot import LandedState, PositionError
 from companion.types.flight import FlightPhase, HealthFlag, Role
@@ -64,7 +63,6 @@ class SteadyFleet:
         self._leader_id = next(member.id for member in fleet.vehicles if member.role is Role.LEADER)
         self._graph = neighbour_graph(fleet.neighbours, self._slots)
         self._prcs = settled_prcs(self._graph, {self._leader_id})
-        self._weighting = law_of(fleet.law).weighting
         self._hash = fleet.formation_hash()
         self._nearest = {i: self._nearest_id(i) for i in self._slots}
 
@@ -118,7 +116,7 @@ class SteadyFleet:
             neighbourhood=NeighbourReport(
                 neighbours=tuple(neighbours),
                 peers=tuple(i for i in self.vehicle_ids if i != vehicle_id),
-                weights=tuple(neighbour_weights([prcs[j] for j in neighbours], self._weighting)),
+                weights=neighbour_weights(tuple([prcs[j] for j in neighbours])),
                 neighbour_ages_s=tuple(0.015 + 0.01 * sin(time_s + j) for j in neighbours),
             ),
             formation=FormationReport(

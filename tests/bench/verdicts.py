@@ -21,7 +21,7 @@ from companion.analysis.interaction import FloatArray
 from companion.analysis.prediction import settle_time_s
 from companion.cli.options import whole_number
 from companion.config.file import ConfigError
-from companion.config.fleet import LawName
+from companion.config.law import LawName
 from companion.ground.changes import assign_slots
 from companion.tools.analysis import LAW_NAMES, analyse
 from companion.tools.subject import subject_of
@@ -71,17 +71,15 @@ def draw(seed: int, number: int, flown_s: float = FLOWN_S) -> tuple[Scenario, di
 
 def _law(random: Random) -> dict[str, Any]:
     name = random.choice(LAW_NAMES)
-    law: dict[str, Any] = {"name": name}
+    law: dict[str, float] = {}
     if random.random() < 0.7:
-        law["gains"] = {
-            "position_1_s2": to_thousandth(random.uniform(0.5, 5.0)),
-            "velocity_1_s": to_thousandth(random.uniform(0.6, 5.0)),
-        }
+        law["position_gain_1_s2"] = to_thousandth(random.uniform(0.5, 5.0))
+        law["velocity_gain_1_s"] = to_thousandth(random.uniform(0.6, 5.0))
     if name in ("weighted", "cooperative") and random.random() < 0.6:
         law["exponent"] = to_thousandth(random.uniform(0.0, 6.0))
         law["weight_ratio"] = to_thousandth(random.choice((1.0, random.uniform(0.01, 1.0))))
         law["feedforward"] = to_thousandth(random.choice((0.0, random.uniform(0.0, 0.99))))
-    return law
+    return {"name": name, "parameters": law}
 
 
 class Verdict(Struct, frozen=True, kw_only=True):

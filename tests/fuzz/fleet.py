@@ -10,7 +10,8 @@ from time import thread_time
 from typing import NamedTuple
 
 from companion.assembly import build_agent
-from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, Law, PeerLimits, RangeNeighbours
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, PeerLimits, RangeNeighbours
+from companion.config.law import LawSection
 from companion.config.reference import CircleReference, PointReference, Reference, TargetReference
 from companion.config.vehicle import AgentConfig, VehicleConfig
 from companion.core.agent import Agent
@@ -82,7 +83,7 @@ def fleet_config(rng: Random, is_chain: bool = False, is_wide: bool = False) -> 
             for i in ids
         ),
         neighbours=chain if is_chain else neighbours,
-        law=Law(name=rng.choice(("cooperative", "weighted"))),
+        law=LawSection(name=rng.choice(("cooperative", "weighted"))),
         peers=PeerLimits(full_rate_up_to=1) if is_wide else PeerLimits(),
         takeoff_height_m=3.0,
         formation_heading=rng.choice(("fixed", "course")),

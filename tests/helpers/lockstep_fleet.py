@@ -21,12 +21,13 @@ from common import ROOT
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
-from companion.core.consensus.law import FormationLaw, FormationState, target
+from companion.core.consensus.kept_off import target
 from companion.core.report import Decision
+from companion.laws._neighbour_feedback import NeighbourFeedback
 from companion.types.autopilot import AttitudeTarget
 from companion.types.commands import CommandName, CommandReply, Content
 from companion.types.flight import FlightPhase
-from companion.types.formation import FlownSlot
+from companion.types.formation import FlownSlot, FormationState
 from companion.types.peers import PeerPacket
 from companion.types.status import Status
 from companion.types.tick import Inbox
@@ -178,7 +179,7 @@ class Decisions:
                 jumps.append(_jump_m(before.reference, after.reference, after_s))
         return max(jumps)
 
-    def steered_jump_m(self, law: FormationLaw, from_s: float, until_s: float) -> float:
+    def steered_jump_m(self, law: NeighbourFeedback, from_s: float, until_s: float) -> float:
         """The largest jump of what a vehicle in formation steers to: its own reference, or the mean of its neighbours."""
         jumps = []
         for a, b in self._in_formation(from_s, until_s):

@@ -12,7 +12,8 @@ from msgspec.structs import replace
 
 from common import with_fields
 from companion.assembly import build_agent
-from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, Law
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
+from companion.config.law import LawSection
 from companion.config.reference import PointReference, Reference
 from companion.config.vehicle import AgentConfig, VehicleConfig
 from companion.core.command.hand_over import LEVEL_BEFORE_HAND_OVER_S
@@ -68,7 +69,7 @@ FLEET = FleetConfig(
         FormationMember(id=2, role=Role.FOLLOWER, slot_enu_m=(-1.5, 0.0, 0.0)),
     ),
     neighbours=EdgeNeighbours(edges=((1, 2),)),
-    law=Law(name="weighted", velocity_correction_1_s=0.0),  # its position does not move as its velocity says
+    law=LawSection(name="weighted", velocity_correction_1_s=0.0),  # its position does not move as its velocity says
     takeoff_height_m=1.0,
 )
 ORIGIN: Vector3 = (47.0, 8.0, 400.0)  # of its autopilot

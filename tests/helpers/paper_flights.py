@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from companion.analysis.interaction import FloatArray
-from companion.config.fleet import LawName
+from companion.config.law import LawName
 from companion.types.flight import Role
 from sitl.flight.scenario import Scenario, reference_of
 from sitl.paper.flights import COMPARED, NOISY_LAWS, PERFECT, Book, FlightSubject, FlownPlan, Model, PaperPlan

@@ -18,9 +18,10 @@ from msgspec.structs import replace
 
 from common import AT_REST
 from companion.assembly import safety_filter_of
-from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig, FormationMember, Law
+from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig, FormationMember
+from companion.config.law import LawSection
 from companion.config.values import Obstacle
-from companion.core.consensus.law import Gains, feedback
+from companion.core.consensus.law import feedback
 from companion.core.consensus.neighbours import EdgeRule
 from companion.core.consensus.peers import FleetLimits, PeerTable
 from companion.core.consensus.stage import Consensus, ConsensusStage
@@ -30,7 +31,7 @@ from companion.core.filter.solver import AccelerationLimits
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.commands import Lead
 from companion.types.flight import Flight, FlightPhase, HealthFlag, Role
-from companion.types.formation import FlownSlot
+from companion.types.formation import FlownSlot, Gains
 from companion.types.peers import (
     LeaderReport,
     Motion,
@@ -323,7 +324,7 @@ def _fleet(ids: Iterable[int], separation_m: float, envelope: Envelope, obstacle
         origin="indoor",
         vehicles=members,
         neighbours=EdgeNeighbours(()),
-        law=Law(name="weighted"),
+        law=LawSection(name="weighted"),
         separation_m=separation_m,
         envelope=envelope,
         obstacles=obstacles,

@@ -110,7 +110,7 @@ def apart_m(*overrides: str) -> FloatArray:
             pytest.param(overrides, marks=pytest.mark.long)
             for overrides in (
                 (COOPERATIVE,),
-                (COOPERATIVE, "fleet.law.weight_ratio=0.3"),
+                (COOPERATIVE, "fleet.law.parameters.weight_ratio=0.3"),
                 ("fleet.law.name=average_26",),
                 ("links.peer_delay_s=0.05",),
                 ("fleet.law.altitude=hold", SIDEWAYS_AND_UP, BY_THE_LAW),

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from common import with_fields
-from companion.core.consensus.law import FormationState
 from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
+from companion.types.formation import FormationState
 from companion.types.peers import PeerPacket
 from lockstep_fleet import EnteringFleet, scenario_of
 from sitl.report.metrics import SAMPLE_S

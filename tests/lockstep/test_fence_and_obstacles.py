@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from common import ROOT
-from companion.core.consensus.law import FormationState
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
+from companion.types.formation import FormationState
 from companion.types.values import ZERO3, Vector3
 from lockstep_fleet import READY_SOON, EnteringFleet, FlownScenario
 from sitl.flight.lockstep import Lockstep

@@ -10,7 +10,6 @@ import pytest
 from common import ROOT
 from companion.analysis.interaction import interaction_matrix
 from companion.analysis.response import settled_prcs
-from companion.core.consensus.law import weighted
 from companion.types.commands import CommandName, Lead
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
@@ -27,6 +26,7 @@ from sitl.report.metrics import (
     stand_at,
     tracking,
 )
+from tests.helpers.laws import weighted
 
 RING = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
 CHANGES = 5

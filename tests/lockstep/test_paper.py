@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.config.fleet import LawName
+from companion.config.law import LawName
 from sitl.paper.aggregation_claims import broken_edges, has_gathered, left_for_good_s
 from sitl.paper.flights import (
     PATIENT,

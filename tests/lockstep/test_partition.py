@@ -7,7 +7,7 @@ from random import Random
 import pytest
 
 from common import ROOT
-from companion.assembly import law_of
+from companion.config.law import law_of
 from companion.ground.changes import reference_change
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag, Role

@@ -81,7 +81,7 @@ def test_a_sweep_is_the_same_for_any_number_of_workers(tmp_path: Path) -> None:
 
 
 def test_the_folder_and_the_output(tmp_path: Path) -> None:
-    varied = ("--vary", "fleet.law.name=weighted,cooperative", "--vary", "fleet.law.exponent=0,2")
+    varied = ("--vary", "fleet.law.name=weighted,cooperative", "--vary", "fleet.law.parameters.exponent=0,2")
     done = sweep(PLATOON, *varied, "--seeds", 3, "--seconds", 4, "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     assert all("of 12 flights" in line for line in done.stderr.splitlines()), "on a slow machine it shows its progress"

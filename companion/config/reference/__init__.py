@@ -7,7 +7,7 @@ here. One whose trajectory is not known beforehand, like that of a target, also 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import reduce
 from importlib import import_module
 from operator import or_
@@ -73,28 +73,6 @@ def command_problems(reference: Reference, where: str = "reference") -> Iterator
     refusal = reference.refusal_as_command()
     for key, text in [refusal] if refusal else reference.contradictions():
         yield Problem(f"{where}.{key}", text)
-
-
-def read_named(data: Any, beside: Path) -> Any:
-    """The plain content of a file with all that its references name read (see `BaseReference.read`). Raises ConfigError."""
-    return _each_section(data, lambda kind, section, where: kind.read(section, where, beside))
-
-
-def carried(data: Any, folder: Path) -> Any:
-    """The plain content for a file in this folder, with copies there of the files that its references name."""
-    return _each_section(data, lambda kind, section, _: kind.carried(section, folder))
-
-
-def _each_section(
-    data: Any, change: Callable[[type[BaseReference], dict[str, Any], str], dict[str, Any]], where: str = ""
-) -> Any:
-    if isinstance(data, list | tuple):
-        return [_each_section(item, change, f"{where}[{index}]") for index, item in enumerate(data)]
-    if not isinstance(data, dict):
-        return data
-    inside = {key: _each_section(item, change, f"{where}.{key}".lstrip(".")) for key, item in data.items()}
-    kind = inside.get("kind")
-    return change(KINDS[kind], inside, where) if isinstance(kind, str) and kind in KINDS else inside
 
 
 def type_of_key(key: str) -> type:

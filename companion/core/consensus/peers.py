@@ -15,9 +15,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.core.consensus.coherence import Coherence, coherent
-from companion.core.consensus.law import FormationState
 from companion.core.consensus.message_order import Disorder, Stream, following
 from companion.geometry.vectors import extrapolated, shortened
+from companion.laws import Neighbour
 from companion.types.commands import MAX_EPOCH
 from companion.types.flight import STREAMING, FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, Term
@@ -118,6 +118,9 @@ def refusal_of_motion(packet: PeerPacket, limits: FleetLimits, known: FlownSlot 
             return Code.PEER_SLOT_IMPLAUSIBLE
     if packet.rft is not None and not _is_plausible_rft(packet.rft, limits):
         return Code.PEER_SLOT_IMPLAUSIBLE
+    for x, y, z in packet.law_values:
+        if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
+            return Code.PEER_LAW_VALUES_IMPLAUSIBLE
     if error and not (0.0 <= error.horizontal_m <= MAX_ERROR_M and 0.0 <= error.vertical_m <= MAX_ERROR_M):
         return Code.PEER_POSITION_ERROR_IMPLAUSIBLE
     return None
@@ -205,20 +208,19 @@ class PeerState(Struct, frozen=True, gc=False):
         return replace(slot, position_enu_m=position_enu_m)
 
 
-def formation_state_at(peer: PeerState, now_s: float) -> FormationState:
-    """State of the peer minus that of its slot, extrapolated over a bounded age.
+def neighbour_at(peer: PeerState, now_s: float, prc: int) -> Neighbour:
+    """The peer as the law sees it: its state minus that of its slot, extrapolated over a bounded age.
 
     x + v a + u a^2 / 2 and v + u a with the acceleration command u. Where a vehicle is kept off its slot, the RFT it flies
     by counts instead.
     """
-    packet, age_s = peer.packet, now_s - peer.measured_s
+    packet, aged_s = peer.packet, now_s - peer.measured_s
     most_s = EXTRAPOLATED_MOST_S if packet.leader.prc > NEAR_LEADER_PRC else EXTRAPOLATED_NEAR_LEADER_S
-    if age_s > most_s:
-        age_s = most_s
+    age_s = most_s if aged_s > most_s else aged_s
+    slot = packet.slot
     if packet.rft is not None:
         (x, y, z), (vx, vy, vz), (ax, ay, az) = packet.rft
     else:
-        slot = packet.slot
         (x, y, z), (dx, dy, dz) = packet.motion.position_enu_m, slot.position_enu_m
         (vx, vy, vz), (dvx, dvy, dvz) = packet.motion.velocity_enu_m_s, slot.velocity_enu_m_s
         (ax, ay, az), (dax, day, daz) = packet.motion.acceleration_enu_m_s2, slot.acceleration_enu_m_s2
@@ -226,10 +228,14 @@ def formation_state_at(peer: PeerState, now_s: float) -> FormationState:
         vx, vy, vz = vx - dvx, vy - dvy, vz - dvz
         ax, ay, az = ax - dax, ay - day, az - daz
     half_s = 0.5 * age_s
-    return FormationState(
+    return Neighbour(
         (x + age_s * (vx + half_s * ax), y + age_s * (vy + half_s * ay), z + age_s * (vz + half_s * az)),
         (vx + age_s * ax, vy + age_s * ay, vz + age_s * az),
         (ax, ay, az),
+        prc,
+        packet.slot.position_enu_m,
+        aged_s,
+        packet.law_values,
     )
 
 

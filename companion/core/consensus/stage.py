@@ -37,13 +37,14 @@ from math import inf
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.core.consensus.law import FormationState, next_prc
+from companion.core.consensus.law import next_prc
 from companion.core.consensus.neighbours import NeighbourRule
-from companion.core.consensus.peers import MAX_TURN_RAD_S, PeerState, PeerTable, formation_state_at
+from companion.core.consensus.peers import MAX_TURN_RAD_S, PeerState, PeerTable, neighbour_at
 from companion.core.election.beacon import WAITED_S, BeaconMonitor, MissionClock
 from companion.core.election.leadership import Leadership, Succession, refusal_of_lead
 from companion.geometry.formations import heading_after
 from companion.geometry.vectors import clamped
+from companion.laws import Neighbour
 from companion.types.autopilot import VehicleState
 from companion.types.commands import EPOCHS_AHEAD, NUMBERS_AHEAD, Command, Lead
 from companion.types.flight import COOPERATING, STREAMING, Flight, FlightPhase, HealthFlag, Role
@@ -78,15 +79,15 @@ class LeadView(Struct, frozen=True, gc=False):
 
 
 class Neighbours(Struct, frozen=True, gc=False):
-    """The neighbours that the law follows: their ids, and (PrC, formation state) of each in the same order."""
+    """The neighbours that the law follows: their ids, and what the law knows of each, in the same order."""
 
     ids: tuple[int, ...] = ()
-    states: tuple[tuple[int, FormationState], ...] = ()
+    states: tuple[Neighbour, ...] = ()
 
     @property
     def prcs(self) -> list[int]:
         """In the order of `ids`."""
-        return [prc for prc, _ in self.states]
+        return [state.prc for state in self.states]
 
 
 class PeerSets(Struct, frozen=True, gc=False):
@@ -144,8 +145,11 @@ class ConsensusStage:
         rule: NeighbourRule,
         leader: BeaconMonitor,
         succession: Succession,
+        law_values: int = 0,
     ) -> None:
+        """`law_values`: so many vectors of its own a vehicle must publish, so that the law can use it."""
         self._own_id = own_id
+        self._law_values = law_values
         self._n = n
         self._rule = rule
         self._leader = leader
@@ -212,11 +216,13 @@ class ConsensusStage:
         has_place = vehicle.position_time_s > -inf or not vehicle.armed
         role, term = leadership.role if has_place else FOLLOWER, leadership.term
         followed = _followed(ids, neighbours, role is LEADER) if in_formation else ids
+        if self._law_values:  # a law that is given fewer values than it expects would fail
+            followed = tuple([i for i in followed if len(fresh[i].packet.law_values) == self._law_values])
         states = self._states(now_s, [fresh[i] for i in followed], term)
         heading = self._received_heading(role, in_formation, youngest, age_s)
         beacon, beacon_age_s, reference_s = self._beacon(now_s, role, in_formation, youngest, age_s)
         return Consensus(
-            prc=next_prc(role is LEADER, [prc for prc, _ in states], self._n),
+            prc=next_prc(role is LEADER, [state.prc for state in states], self._n),
             lead=LeadView(
                 role=role,
                 term=term,
@@ -283,12 +289,12 @@ class ConsensusStage:
             return ()
         return leadership.settle(now_s, [p.leader.beacon for p in flying if p.leader.beacon is not None])
 
-    def _states(self, now_s: float, peers: Iterable[PeerState], term: Term) -> tuple[tuple[int, FormationState], ...]:
-        """(PrC, state) of each neighbour. A leader of an older term has not received the change yet: its PrC is n."""
+    def _states(self, now_s: float, peers: Iterable[PeerState], term: Term) -> tuple[Neighbour, ...]:
+        """What the law knows of each. A leader of an older term has not received the change yet: its PrC is n."""
         states = []
         for peer in peers:
             is_deposed = peer.packet.leader.prc == 1 and peer.term < term
-            states.append((self._n if is_deposed else peer.packet.leader.prc, formation_state_at(peer, now_s)))
+            states.append(neighbour_at(peer, now_s, self._n if is_deposed else peer.packet.leader.prc))
         return tuple(states)
 
     def _command_leads(

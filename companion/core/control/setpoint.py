@@ -9,16 +9,8 @@ from math import atan, cos, degrees, hypot, inf, sin, tan
 from msgspec import Struct
 
 from companion.core.autopilot import Profiles, profile_of
-from companion.core.consensus.law import (
-    FormationLaw,
-    FormationState,
-    Gains,
-    KeptOff,
-    feedback,
-    formation_acceleration,
-    formation_state,
-    target,
-)
+from companion.core.consensus.kept_off import KeptOff, target
+from companion.core.consensus.law import FlownLaw, feedback, formation_state
 from companion.core.consensus.stage import Consensus
 from companion.core.control.descent import Descent
 from companion.core.estimation.wind import DisturbanceObserver, FlightSample
@@ -29,6 +21,7 @@ from companion.core.safety.safeguard import Safety
 from companion.geometry.vectors import between, shortened
 from companion.types.autopilot import AttitudeTarget, AutopilotMode, LandedState, VehicleState, in_air
 from companion.types.flight import COOPERATING, FailsafeAction, Flight, FlightPhase
+from companion.types.formation import FormationState, Gains
 from companion.types.notices import Code
 from companion.types.peers import ReceivedTraffic
 from companion.types.rejections import count_rejection
@@ -60,6 +53,7 @@ class Setpoint(Struct, frozen=True, gc=False):
     rejected: Mapping[str, int]
     separation: SeparationReport = UNFILTERED
     rft: FormationState | None = None  # published while the separation filter keeps this vehicle off its slot
+    law_values: tuple[Vector3, ...] = ()  # what the law publishes of its own
 
 
 class SetpointStage:
@@ -67,7 +61,7 @@ class SetpointStage:
 
     def __init__(
         self,
-        law: FormationLaw,
+        law: FlownLaw,
         law_flies_altitude: bool,
         altitude_hold_gains: Gains,
         safety_filter: SafetyFilter,
@@ -81,6 +75,7 @@ class SetpointStage:
         `flown_for_s`: for so long the last setpoint is believed to be flown.
         """
         self._law = law
+        self._publishes = law.law.publishes > 0
         self._law_flies_altitude = law_flies_altitude
         self._altitude_hold_gains = altitude_hold_gains
         self._safety_filter = safety_filter
@@ -111,8 +106,7 @@ class SetpointStage:
         if traffic or self._safety_filter.traffic:
             self._safety_filter.receive(now_s, vehicle, traffic)
         if flight.streams and not before.streams:
-            stream.open(now_s, vehicle)
-            self._descent.restart()
+            self._begin(now_s, vehicle)
         attitude_target = None
         if flight.streams and not silent:
             if phase is ENGAGE:  # the autopilot has not taken the stream yet
@@ -153,7 +147,22 @@ class SetpointStage:
             rejected=stream.rejected,
             separation=self._separation if flight.streams else UNFILTERED,
             rft=rft,
+            law_values=self._law_values(vehicle, phase, consensus, guidance) if self._publishes else (),
         )
+
+    def _begin(self, now_s: float, vehicle: VehicleState) -> None:
+        self._stream.open(now_s, vehicle)
+        self._descent.restart()
+        self._law.end()
+
+    def _law_values(
+        self, vehicle: VehicleState, phase: FlightPhase, consensus: Consensus, guidance: Guidance
+    ) -> tuple[Vector3, ...]:
+        """Of a vehicle that cooperates: its neighbours may be in formation before it."""
+        if phase not in COOPERATING or vehicle.position_time_s == -inf:
+            return ()
+        states, commanded_enu_m_s2 = consensus.neighbours.states, self._stream.commanded_enu_m_s2
+        return self._law.values(vehicle, guidance.slot, commanded_enu_m_s2, states, guidance.reference)
 
     def _carry_on(self, now_s: float, vehicle: VehicleState) -> AttitudeTarget | None:
         """What the vehicle does already. A decision needs a new position here, too."""
@@ -174,10 +183,8 @@ class SetpointStage:
             x, y, _ = shortened((x, y, 0.0), self._safety_filter.braking_alone_m_s2)
             return (x, y, z)
         slot = guidance.slot
-        own = formation_state(vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot)
-        x, y, z = formation_acceleration(
-            self._law, own, consensus.neighbours.states, guidance.reference, self._drag_1_s
-        )
+        commanded_enu_m_s2, states = self._stream.commanded_enu_m_s2, consensus.neighbours.states
+        x, y, z = self._law.acceleration(vehicle, slot, commanded_enu_m_s2, states, guidance.reference)
         dx, dy, dz = slot.acceleration_enu_m_s2
         if not self._law_flies_altitude:
             return (x + dx, y + dy, self._braking(vehicle)[2])
@@ -190,7 +197,7 @@ class SetpointStage:
         """The RFT for peers while the separation filter keeps this vehicle off its slot."""
         if not self._kept_off.intervened(now_s, self._removed_m_s2):
             return None
-        rft = target(self._law, consensus.neighbours.states, guidance.reference)
+        rft = target(self._law.law, consensus.neighbours.states, guidance.reference)
         if rft is None:
             return None
         position_enu_m = vehicle.position_enu_m
@@ -259,7 +266,7 @@ class SetpointStream:
         self.position_used_s = -inf  # time of the newest position used for a setpoint
         self.sent_s = 0.0  # when the last setpoint was sent, or the stream opened
         self._final_level_sent = False  # the last level setpoint before a silence was sent
-        self._commanded_enu_m_s2 = ZERO3  # commanded by the last setpoint, without the part against the disturbance
+        self.commanded_enu_m_s2 = ZERO3  # commanded by the last setpoint, without the part against the disturbance
         self.sent = AttitudeTarget(0.0, 0.0, 0.0, 0.0)  # the last setpoint
         self._yaw_rad = 0.0
 
@@ -271,7 +278,7 @@ class SetpointStream:
     def open(self, now_s: float, vehicle: VehicleState) -> None:
         """Begin a stream from what the vehicle does now."""
         self._yaw_rad = vehicle.yaw_rad
-        self.sent_s, self._commanded_enu_m_s2 = now_s, ZERO3
+        self.sent_s, self.commanded_enu_m_s2 = now_s, ZERO3
         current = self._as_it_flies(now_s, vehicle)
         self.sent, self.largest_step_deg = current, 0.0
         self._gate.open_at(now_s, current, self.observer.hover_thrust_norm)
@@ -301,7 +308,7 @@ class SetpointStream:
         if self._final_level_sent:
             return None
         self._final_level_sent = True
-        self._commanded_enu_m_s2 = ZERO3
+        self.commanded_enu_m_s2 = ZERO3
         hover_thrust_norm = self.observer.hover_thrust_norm
         level = AttitudeTarget(0.0, 0.0, self._yaw_rad, hover_thrust_norm)
         self._gate.open_at(now_s, level, hover_thrust_norm)  # no slew: no next setpoint will come closer
@@ -309,7 +316,7 @@ class SetpointStream:
 
     def flown_acceleration_enu_m_s2(self, now_s: float, for_s: float) -> Vector3:
         """What the autopilot is believed to fly: the last setpoint goes on for a while over ticks that decide nothing."""
-        return ZERO3 if now_s - self.sent_s > for_s else self._commanded_enu_m_s2
+        return ZERO3 if now_s - self.sent_s > for_s else self.commanded_enu_m_s2
 
     def _send(
         self, now_s: float, vehicle: VehicleState, acceleration_enu_m_s2: Vector3, wanted: AttitudeTarget
@@ -323,7 +330,7 @@ class SetpointStream:
         step_deg = degrees(hypot(target.roll_rad - sent.roll_rad, target.pitch_rad - sent.pitch_rad))
         if step_deg > self.largest_step_deg:
             self.largest_step_deg = step_deg
-        self.sent, self.sent_s, self._commanded_enu_m_s2 = target, now_s, acceleration_enu_m_s2
+        self.sent, self.sent_s, self.commanded_enu_m_s2 = target, now_s, acceleration_enu_m_s2
         self._final_level_sent = False
         return target
 

@@ -9,7 +9,6 @@ from math import dist, hypot, inf, sqrt
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.core.consensus.law import Gains
 from companion.core.consensus.peers import PeerState
 from companion.core.filter.motion import (
     KEPT_S,
@@ -42,7 +41,7 @@ from companion.core.filter.vehicles import (
 from companion.geometry.airspace import Airspace, Gap
 from companion.geometry.curves import approach_speed
 from companion.types.autopilot import VehicleState
-from companion.types.formation import FlownSlot
+from companion.types.formation import FlownSlot, Gains
 from companion.types.notices import Code, Notice
 from companion.types.peers import ReceivedTraffic
 from companion.types.status import SeparationReport

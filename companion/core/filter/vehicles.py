@@ -35,12 +35,11 @@ from math import hypot, inf, sqrt
 
 from msgspec import Struct
 
-from companion.core.consensus.law import Gains
 from companion.core.filter.motion import LAG_S, Ahead, Motion, Other, Silence, column_m, nearest_on_way
 from companion.core.filter.solver import MARGIN, VEHICLE, Constraint
 from companion.geometry.curves import approach_speed
 from companion.types.autopilot import PositionError, VehicleState
-from companion.types.formation import FlownSlot
+from companion.types.formation import FlownSlot, Gains
 from companion.types.status import NearestVehicle
 from companion.types.values import Vector3
 

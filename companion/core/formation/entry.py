@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from math import dist, hypot
 
-from companion.core.consensus.law import FormationState, formation_state
-from companion.core.consensus.peers import PeerState, formation_state_at
+from companion.core.consensus.law import formation_state
+from companion.core.consensus.peers import PeerState, neighbour_at
 from companion.core.consensus.stage import Consensus
 from companion.core.formation.paths import (
     FORM_OR_HOLD,
@@ -25,7 +25,7 @@ from companion.geometry.formations import in_formation_frame
 from companion.geometry.vectors import mean, minus, plus
 from companion.types.autopilot import VehicleState
 from companion.types.flight import COOPERATING, STREAMING, Flight, FlightPhase, Role
-from companion.types.formation import FlownSlot
+from companion.types.formation import FlownSlot, FormationState
 from companion.types.notices import Code, Notice, Refused
 
 LEADER, ENGAGE, FORMATION = Role.LEADER, FlightPhase.ENGAGE, FlightPhase.FORMATION  # member lookup of an enum is slow
@@ -98,7 +98,9 @@ class FormationEntry:
         if flight.phase not in STREAMING:
             self._lead_in.end()
         elif begins:
-            states = [formation_state_at(peer, now_s) for peer in _formed(consensus.peers.fresh.values())]
+            states: list[FormationState] = [
+                neighbour_at(peer, now_s, peer.packet.leader.prc) for peer in _formed(consensus.peers.fresh.values())
+            ]
             if self._led:
                 states.append(formation_state(vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot))
             self._lead_in.begin(now_s, mean_state(states) if states else held, held)
@@ -117,15 +119,15 @@ class FormationEntry:
         if reference is not None and not formed:
             if not (first := _first(forming)) or first.packet.sender.vehicle_id > self._own_id:
                 return reference, 0.0
-            return formation_state_at(first, now_s), first.packet.slot.moves_for_s
+            return neighbour_at(first, now_s, first.packet.leader.prc), first.packet.slot.moves_for_s
         if reference is None and (first := _first(forming)):
-            return formation_state_at(first, now_s), first.packet.slot.moves_for_s
+            return neighbour_at(first, now_s, first.packet.leader.prc), first.packet.slot.moves_for_s
         if formed:
             ends_in_s = max(peer.packet.slot.moves_for_s for peer in formed)
-            return mean_state([formation_state_at(peer, now_s) for peer in formed]), ends_in_s
+            return mean_state([neighbour_at(peer, now_s, peer.packet.leader.prc) for peer in formed]), ends_in_s
         engaged = [peer for peer in peers if peer.packet.phase in STREAMING]
         if first := _first(leaders) or _first(engaged):
-            return formation_state_at(first, now_s), first.packet.slot.moves_for_s
+            return neighbour_at(first, now_s, first.packet.leader.prc), first.packet.slot.moves_for_s
         text = "no leader and no vehicle that forms is received; give form again when a neighbour is in formation"
         raise Refused(Code.NO_FORMATION_TO_JOIN, text)
 
@@ -166,7 +168,7 @@ class Joining:
         self._refuse_while_others_move(peers)
         if not formed:
             raise Refused(Code.NO_FORMATION_TO_JOIN, "no vehicle is in formation any more")
-        fleet = mean_state([formation_state_at(peer, now_s) for peer in formed])
+        fleet = mean_state([neighbour_at(peer, now_s, peer.packet.leader.prc) for peer in formed])
         for peer in formed:
             apart_m = dist(slot, in_formation_frame(peer.slot_at(now_s).position_enu_m, heading))
             if apart_m < self._separation_m:

@@ -7,7 +7,7 @@ from math import dist
 
 from msgspec import Struct
 
-from companion.core.consensus.law import FormationState, formation_state
+from companion.core.consensus.law import formation_state
 from companion.core.consensus.stage import Consensus
 from companion.core.formation.changes import NOTHING_CHANGED, Changes, Situation
 from companion.core.formation.entry import FormationEntry
@@ -20,7 +20,7 @@ from companion.geometry.formations import turned_slot
 from companion.types.autopilot import VehicleState
 from companion.types.commands import Command, CommandName
 from companion.types.flight import RULES, STREAMING, Flight, FlightPhase, PhaseChange, PhaseRequest, Role
-from companion.types.formation import EAST, FlownSlot, FormationChange, Heading, HeldReference
+from companion.types.formation import EAST, FlownSlot, FormationChange, FormationState, Heading, HeldReference
 from companion.types.notices import Answer, Code, Notice, Refused
 from companion.types.peers import ReceivedTarget
 from companion.types.values import ZERO3

@@ -11,7 +11,6 @@ from math import acos, acosh, dist, exp, hypot, sqrt
 
 from msgspec import Struct
 
-from companion.core.consensus.law import FormationState, Gains
 from companion.core.consensus.peers import PeerState
 from companion.core.formation.limits import crossing_notice
 from companion.core.reference.blend import LONGEST_S, SAMPLES, SHORTEST_S, within
@@ -19,7 +18,7 @@ from companion.geometry.curves import Curve, decay_to_rest, duration_s
 from companion.geometry.formations import ROUNDING_M, SLOT_ACCELERATION_M_S2, in_formation_frame, to_separation_metric
 from companion.types.autopilot import VehicleState
 from companion.types.flight import ON_GROUND, STREAMING, FlightPhase
-from companion.types.formation import Heading
+from companion.types.formation import FormationState, Gains, Heading
 from companion.types.notices import Code, Notice, Refused
 from companion.types.values import ZERO3, Vector3
 

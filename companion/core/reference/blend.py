@@ -11,12 +11,12 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from math import ceil, hypot
 
-from companion.core.consensus.law import FormationState
 from companion.core.reference.target import Box, Room
 from companion.geometry.airspace import Airspace, room_for
 from companion.geometry.curves import Curve, decay_to_rest, duration_s
 from companion.geometry.formations import swept
 from companion.geometry.vectors import minus, plus
+from companion.types.formation import FormationState
 from companion.types.steps import Steps, coarser
 from companion.types.values import ZERO3, Vector3
 

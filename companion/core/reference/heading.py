@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from math import copysign, inf, pi, remainder, tau
 
-from companion.core.consensus.law import FormationState
 from companion.core.consensus.stage import Consensus
 from companion.core.reference.target import APPROACH, JERK_1_S, LONGEST_S, SETTLE_S, approach_speed
 from companion.geometry.formations import TurnLimits, course, heading_after, turn_limits
 from companion.geometry.vectors import clamped
 from companion.types.flight import HealthFlag
-from companion.types.formation import EAST, Heading
+from companion.types.formation import EAST, FormationState, Heading
 
 SLOWEST_M_S = 0.1  # below this speed r' has no usable direction, and the last heading is kept
 ROUND_RAD = pi - 0.3  # a goal further behind than this is approached in the present direction of turn

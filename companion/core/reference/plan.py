@@ -11,14 +11,13 @@ from dataclasses import dataclass
 
 from msgspec import json
 
-from companion.core.consensus.law import FormationState
 from companion.core.paced import BEING_CHECKED, PENDING, PacedChecks
 from companion.core.reference.agreement import Agreement
 from companion.core.reference.blend import BlendLimits, ReferenceTrajectory, blending
 from companion.core.reference.target import TargetLimits, TargetPursuit, Targets, can_keep
 from companion.types.commands import Described, ReferenceChange
 from companion.types.flight import FlightPhase, Role
-from companion.types.formation import HeldReference
+from companion.types.formation import FormationState, HeldReference
 from companion.types.notices import Answer, Code, Notice, accept, refuse
 from companion.types.peers import PeerPacket, ReceivedTarget
 from companion.types.steps import Steps, first_steps

@@ -147,6 +147,15 @@ FAILSAFES: tuple[Failsafe, ...] = (
         limit=0.1,
         stays_s=1.0,
     ),
+    # A tenth of a tick. A single call may be interrupted by another process; a law that is slow by itself is so in every tick.
+    Failsafe(
+        C.LAW_SLOW,
+        "a law from outside takes {} s in a tick",
+        (WARN, Step(A.HOLD, 1.0)),
+        "{} s without such a tick",
+        limit=0.002,
+        stays_s=0.2,
+    ),
     # Against a dip of the voltage under load, as ArduPilot's BATT_LOW_TIMER.
     Failsafe(
         C.BATTERY_LOW,

@@ -56,6 +56,7 @@ from companion.types.values import ZERO3
 
 HAND_OVER_S = leaves_after_s(Code.AGENT_STOPPING)  # so long the autopilot may take to go into its own hold at the end
 SILENT_TOO_LONG_S = limit_of(Code.NO_SETPOINT)
+SLOW_LAW_S, SLOW_FOR_S = limit_of(Code.LAW_SLOW), BY_CONDITION[Code.LAW_SLOW].stays_s
 LATE_TICK_S, LATE_FOR_S = limit_of(Code.TICK_LATE), BY_CONDITION[Code.TICK_LATE].stays_s
 MODE_SURE_S = 0.2  # so old may the mode be where the agent, without other telemetry, still requests another
 
@@ -90,6 +91,7 @@ class SafeguardStage:
         self._watch = FailsafeWatch(settings)
         self._stopping_s: float | None = None  # since when this agent is to stop
         self._late_s = -inf  # when a tick was last late
+        self._slow_s = -inf  # when the law last took too long
 
     def step(
         self,
@@ -105,10 +107,14 @@ class SafeguardStage:
         """`separation` is of the last setpoint. `commanded`: the last tick executed a command. It ends automatic landings."""
         if inbox.late_s > LATE_TICK_S:
             self._late_s = now_s
+        if inbox.law_s > SLOW_LAW_S:
+            self._slow_s = now_s
         flags = health_flags(now_s, vehicle, self._limits)
         flags |= fleet_flags(now_s, flight.phase, consensus, separation)
         if now_s - self._late_s < LATE_FOR_S:
             flags.add(HealthFlag.TICK_LATE)
+        if now_s - self._slow_s < SLOW_FOR_S:
+            flags.add(HealthFlag.LAW_SLOW)
         active = NONE_ACTIVE
         if flags or not self._watch.is_idle:
             active = self._watch.update(now_s, flight.phase, flags, commanded)

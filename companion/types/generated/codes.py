@@ -30,6 +30,7 @@ class Code(StrEnum):
     TILT_EXCEEDED = "TILT_EXCEEDED"
     FAILSAFE_ACTIVE = "FAILSAFE_ACTIVE"
     TICK_LATE = "TICK_LATE"
+    LAW_SLOW = "LAW_SLOW"
     BATTERY_LOW = "BATTERY_LOW"
     BATTERY_CRITICAL = "BATTERY_CRITICAL"
     COMMAND_MALFORMED = "COMMAND_MALFORMED"
@@ -170,6 +171,7 @@ class Code(StrEnum):
     PEER_ACCELERATION_LIMITED = "PEER_ACCELERATION_LIMITED"
     PEER_TIME_IMPLAUSIBLE = "PEER_TIME_IMPLAUSIBLE"
     PEER_SLOT_IMPLAUSIBLE = "PEER_SLOT_IMPLAUSIBLE"
+    PEER_LAW_VALUES_IMPLAUSIBLE = "PEER_LAW_VALUES_IMPLAUSIBLE"
     PEER_POSITION_ERROR_IMPLAUSIBLE = "PEER_POSITION_ERROR_IMPLAUSIBLE"
     PEER_PRC_IMPLAUSIBLE = "PEER_PRC_IMPLAUSIBLE"
     PEER_REFERENCE_IMPLAUSIBLE = "PEER_REFERENCE_IMPLAUSIBLE"
@@ -266,6 +268,7 @@ class HealthFlag(StrEnum):
     FAILSAFE_ACTIVE = "FAILSAFE_ACTIVE"
     TILT_EXCEEDED = "TILT_EXCEEDED"
     TICK_LATE = "TICK_LATE"
+    LAW_SLOW = "LAW_SLOW"
     BATTERY_LOW = "BATTERY_LOW"
     BATTERY_CRITICAL = "BATTERY_CRITICAL"
 
@@ -293,6 +296,7 @@ TEXTS: dict[str, str] = {
     "TILT_EXCEEDED": "tilted beyond the limit",
     "FAILSAFE_ACTIVE": "the autopilot reports a failsafe of its own",
     "TICK_LATE": "the agent's ticks begin late",
+    "LAW_SLOW": "the formation law takes too long",
     "BATTERY_LOW": "battery below leave_below_percent",
     "BATTERY_CRITICAL": "battery below land_below_percent",
     "COMMAND_MALFORMED": "malformed command",
@@ -327,6 +331,7 @@ TEXTS: dict[str, str] = {
     "PEER_ACCELERATION_LIMITED": "acceleration beyond this fleet's limits; the packet is used with a smaller one",
     "PEER_TIME_IMPLAUSIBLE": "state age or time of sending out of range, or sent before its time",
     "PEER_SLOT_IMPLAUSIBLE": "slot out of range",
+    "PEER_LAW_VALUES_IMPLAUSIBLE": "values of the formation law out of range",
     "PEER_POSITION_ERROR_IMPLAUSIBLE": "position error out of range",
     "PEER_PRC_IMPLAUSIBLE": "PrC out of range, or inconsistent with the role",
     "PEER_REFERENCE_IMPLAUSIBLE": "reference trajectory number or start time out of range",

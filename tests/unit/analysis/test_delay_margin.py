@@ -8,7 +8,9 @@ import pytest
 from companion.analysis.interaction import Coupling, couple
 from companion.analysis.margins import delay_margin_with_lag_s
 from companion.analysis.response import LinearModel
-from companion.core.consensus.law import FormationLaw, Gains, Weighting, average_26
+from companion.laws._neighbour_feedback import NeighbourFeedback
+from companion.types.formation import Gains
+from tests.helpers.laws import average_26, law_of
 
 ORDER = 6
 MODEL = LinearModel()
@@ -44,7 +46,7 @@ def abscissa(coupling: Coupling, delay_s: float) -> float:
     heard_matrix, heard_into, heard_out = delay_filter(MODEL.feedforward_delay_s)
     forward = law.feedforward * coupling.W
     wide = np.zeros((n, ORDER * n))
-    back = [law.gains.position_1_s2 * coupling.G, law.gains.velocity_1_s * coupling.G]
+    back = [law.position_gain_1_s2 * coupling.G, law.velocity_gain_1_s * coupling.G]
     u = np.linalg.solve(one - forward, np.hstack([-back[0], -back[1], none, wide, forward @ np.kron(one, heard_out)]))
     position, velocity = (np.hstack([*part, wide, wide]) for part in ([none, one, none], [none, none, one]))
     arrived = u + np.hstack([none, none, none, np.kron(one, out), wide])
@@ -67,15 +69,15 @@ def first_unstable_s(coupling: Coupling) -> float:
 
 
 LAWS = [
-    FormationLaw(Gains(2.0, 2.4), Weighting(8.0), True, 0.9),
-    FormationLaw(Gains(1.0, 2.0), Weighting(1.0), False, 0.5),
-    FormationLaw(Gains(1.39, 0.8), Weighting(2.0), True, 0.7),
-    FormationLaw(Gains(6.0, 5.0), Weighting(0.0), True, 0.3),
-    FormationLaw(PAPER, Weighting(1.0), True),
-    FormationLaw(Gains(1.39, 0.36), Weighting(1.0), True),
-    FormationLaw(Gains(1.39, 0.29), Weighting(1.0), True),
-    FormationLaw(Gains(0.1, 3.0), Weighting(8.0), True),
-    FormationLaw(Gains(8.0, 9.0), Weighting(0.0), True),
+    law_of(Gains(2.0, 2.4), 8.0, True, 0.9),
+    law_of(Gains(1.0, 2.0), 1.0, False, 0.5),
+    law_of(Gains(1.39, 0.8), 2.0, True, 0.7),
+    law_of(Gains(6.0, 5.0), 0.0, True, 0.3),
+    law_of(PAPER, 1.0, True),
+    law_of(Gains(1.39, 0.36), 1.0, True),
+    law_of(Gains(1.39, 0.29), 1.0, True),
+    law_of(Gains(0.1, 3.0), 8.0, True),
+    law_of(Gains(8.0, 9.0), 0.0, True),
     average_26(Gains(2.0, 0.9)),
 ]
 
@@ -84,7 +86,7 @@ LAWS = [
     "graph", [chain(1), chain(2), chain(5), RING, STAR], ids=["one", "two", "five", "ring", "star"]
 )
 @pytest.mark.parametrize("law", LAWS)
-def test_margin_is_within_a_thousandth_and_never_too_large(graph: dict[int, list[int]], law: FormationLaw) -> None:
+def test_margin_is_within_a_thousandth_and_never_too_large(graph: dict[int, list[int]], law: NeighbourFeedback) -> None:
     coupling = couple(graph, {1}, law)
     independent_s, margin_s = first_unstable_s(coupling), delay_margin_with_lag_s(coupling, MODEL)
     assert 0.999 * independent_s <= margin_s <= (1.0 + 1e-5) * independent_s  # a triple root is found to 2e-6

@@ -22,11 +22,14 @@ from companion.analysis.interaction import (
 from companion.analysis.prediction import DIVERGED_M, errors_over_time, settled_after_s, transient_peak
 from companion.analysis.response import TICK_S, LinearModel, reached_from, settled_prcs
 from companion.cli.main import main
-from companion.core.consensus.law import FormationLaw, Gains, Weighting, average_22, average_26, next_prc, weighted
+from companion.core.consensus.law import next_prc
+from companion.laws._neighbour_feedback import NeighbourFeedback
 from companion.tools.analysis import analyse
 from companion.tools.analysis_report import report, verdict
 from companion.tools.subject import load_subject
+from companion.types.formation import Gains
 from companion.types.notices import Code
+from tests.helpers.laws import average_22, average_26, law_of, weighted
 
 SCENARIOS = ROOT / "config" / "scenarios"
 K = Gains(1.39, 1.2)
@@ -106,7 +109,7 @@ def test_modes_with_feedforward_are_real_and_positive(
     graph: dict[int, list[int]], data: st.DataObject, alpha: float, feedforward: float, leader_heeds: bool
 ) -> None:
     leaders = data.draw(st.sets(st.sampled_from(sorted(graph)), min_size=1))
-    coupling = couple(graph, leaders, FormationLaw(K, Weighting(alpha), leader_heeds, feedforward))
+    coupling = couple(graph, leaders, law_of(K, alpha, leader_heeds, feedforward))
     effective = np.linalg.solve(np.eye(len(graph)) - feedforward * coupling.W, coupling.G)
     spectrum = np.linalg.eigvals(effective)
     assert np.abs(spectrum.imag).max() < 1e-4
@@ -163,7 +166,7 @@ def test_vehicles_with_a_path_to_a_leader() -> None:
         (weighted(K, 1.0), 1.8703, 1.1081, 32.80),
     ],
 )
-def test_predictions_for_the_platoon(law: FormationLaw, largest: float, smallest: float, settles_s: float) -> None:
+def test_predictions_for_the_platoon(law: NeighbourFeedback, largest: float, smallest: float, settles_s: float) -> None:
     """The expected figures are of the continuous model, integrated in steps of 0.5 ms."""
     errors_m = stepped(4, law, 120.0)
     distances_m = 1.5 + errors_m[:, :-1, 0] - errors_m[:, 1:, 0]
@@ -172,7 +175,7 @@ def test_predictions_for_the_platoon(law: FormationLaw, largest: float, smallest
     assert settled_after_s(errors_m, 0.1) == pytest.approx(settles_s, abs=0.05)
 
 
-def stepped(n: int, law: FormationLaw, duration_s: float) -> np.ndarray:
+def stepped(n: int, law: NeighbourFeedback, duration_s: float) -> np.ndarray:
     """Errors of a chain whose reference steps by 1 m."""
     return errors_over_time(couple(chain(n), {1}, law), np.full((n, 1), -1.0), LinearModel(), duration_s)
 
@@ -181,12 +184,14 @@ def stepped(n: int, law: FormationLaw, duration_s: float) -> np.ndarray:
     ("law", "largest", "smallest", "settles_s"),
     [
         (weighted(Gains(1.0, 2.0)), 1.75, 1.19, 166.0),
-        (FormationLaw(Gains(1.0, 2.0), Weighting(1.0), True, 0.9), 1.58, 1.43, 19.0),
-        (FormationLaw(Gains(1.0, 2.0), Weighting(8.0), True, 0.9), 1.54, 1.47, 6.0),
-        (FormationLaw(Gains(1.0, 2.0), Weighting(8.0), True, 0.8), 1.57, 1.43, 8.0),
+        (law_of(Gains(1.0, 2.0), 1.0, True, 0.9), 1.58, 1.43, 19.0),
+        (law_of(Gains(1.0, 2.0), 8.0, True, 0.9), 1.54, 1.47, 6.0),
+        (law_of(Gains(1.0, 2.0), 8.0, True, 0.8), 1.57, 1.43, 8.0),
     ],
 )
-def test_predictions_for_a_chain_of_16(law: FormationLaw, largest: float, smallest: float, settles_s: float) -> None:
+def test_predictions_for_a_chain_of_16(
+    law: NeighbourFeedback, largest: float, smallest: float, settles_s: float
+) -> None:
     errors_m = stepped(16, law, 200.0)
     distances_m = 1.5 + errors_m[:, :-1, 0] - errors_m[:, 1:, 0]
     assert distances_m.max() == pytest.approx(largest, abs=0.01)
@@ -278,7 +283,7 @@ def test_single_vehicle_is_analyzed(tmp_path: Path) -> None:
 
 
 def test_invalid_file_is_reported_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["analyze", str(changed(tmp_path, law={"exponent": 99}))]) == 2
+    assert main(["analyze", str(changed(tmp_path, law={"parameters": {"exponent": 99}}))]) == 2
     error = capsys.readouterr().err
-    assert "fleet.law.exponent: 99" in error
+    assert "fleet.law.parameters.exponent: 99" in error
     assert error.count("\n") == 1

@@ -19,26 +19,19 @@ from companion.analysis.margins import (
 from companion.analysis.prediction import errors_over_time, worst_transient_peak
 from companion.analysis.response import LinearModel, flown_model
 from companion.cli.main import main
-from companion.core.consensus.law import (
-    PAPER_GAINS,
-    FormationLaw,
-    Gains,
-    Weighting,
-    average_22,
-    average_26,
-    cooperative,
-    weighted,
-)
+from companion.laws._neighbour_feedback import NeighbourFeedback
 from companion.tools.analysis import analyse
 from companion.tools.analysis_report import report, verdict
 from companion.tools.subject import load_subject
+from companion.types.formation import PAPER_GAINS, Gains
 from companion.types.notices import Code
+from tests.helpers.laws import average_22, average_26, cooperative, law_of, weighted
 
 SCENARIOS = ROOT / "config" / "scenarios"
 K = Gains(1.39, 1.2)
-FED_FORWARD = FormationLaw(Gains(1.0, 2.0), Weighting(1.0), leader_uses_neighbours=True, feedforward=0.9)
-COOPERATIVE = FormationLaw(Gains(1.0, 2.5), Weighting(8.0), leader_uses_neighbours=True, feedforward=0.9)
-ALONE = FormationLaw(Gains(1.0, 2.0), Weighting(1.0), leader_uses_neighbours=False, feedforward=0.9)
+FED_FORWARD = law_of(Gains(1.0, 2.0), 1.0, True, 0.9)
+COOPERATIVE = law_of(Gains(1.0, 2.5), 8.0, True, 0.9)
+ALONE = law_of(Gains(1.0, 2.0), 1.0, False, 0.9)
 IDEAL = LinearModel(0.0, 0.0, 0.0)
 LAWS = [COOPERATIVE, weighted(), average_22(), average_26(), FED_FORWARD, ALONE]
 
@@ -47,7 +40,7 @@ def chain(n: int) -> dict[int, list[int]]:
     return {i: [j for j in (i - 1, i + 1) if 1 <= j <= n] for i in range(1, n + 1)}
 
 
-def chained(n: int, law: FormationLaw) -> Coupling:
+def chained(n: int, law: NeighbourFeedback) -> Coupling:
     return couple(chain(n), {1}, law)
 
 
@@ -77,7 +70,7 @@ def test_peak_between_grid_points_is_found() -> None:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_gain_is_one_at_low_frequencies(law: FormationLaw) -> None:
+def test_gain_is_one_at_low_frequencies(law: NeighbourFeedback) -> None:
     assert np.abs(response(chained(5, law), LinearModel(), 1e-4)) == pytest.approx(np.ones(5), abs=1e-4)
 
 
@@ -127,7 +120,7 @@ def test_no_string_gain_when_all_vehicles_are_leaders() -> None:
 @pytest.mark.parametrize("model", [LinearModel(), flown_model(link_s=0.1)], ids=["lag", "flown"])
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("n", [1, 4, 9])
-def test_prediction_diverges_only_above_the_delay_margin(n: int, law: FormationLaw, model: LinearModel) -> None:
+def test_prediction_diverges_only_above_the_delay_margin(n: int, law: NeighbourFeedback, model: LinearModel) -> None:
     coupling = chained(n, law)
     margin_s = delay_margin_with_lag_s(coupling, model)
     assert not grows(coupling, replace(model, delay_s=0.98 * margin_s))
@@ -162,7 +155,7 @@ def test_delay_margin_is_zero_without_a_leader() -> None:
 
 
 @pytest.mark.parametrize("law", [weighted(), FED_FORWARD, COOPERATIVE])
-def test_worst_start_bounds_all_unit_starts(law: FormationLaw) -> None:
+def test_worst_start_bounds_all_unit_starts(law: NeighbourFeedback) -> None:
     coupling = chained(8, law)
     each_alone = errors_over_time(
         coupling, np.eye(8), LinearModel(), 60.0
@@ -178,10 +171,10 @@ def test_worst_start_bounds_all_unit_starts(law: FormationLaw) -> None:
         (3, weighted(Gains(10.0, 1.0))),
         (2, weighted(Gains(1.39, 0.36))),  # unstable by a hair, and by the delay alone: its figures looked like figures
         (2, weighted(Gains(3.0, 0.5))),  # even without delay
-        (3, FormationLaw(Gains(10.0, 1.0), Weighting(8.0), True, 0.9)),
+        (3, law_of(Gains(10.0, 1.0), 8.0, True, 0.9)),
     ],
 )
-def test_unstable_formation_has_no_string_gain(n: int, law: FormationLaw) -> None:
+def test_unstable_formation_has_no_string_gain(n: int, law: NeighbourFeedback) -> None:
     coupling = chained(n, law)
     assert not is_stable(coupling, LinearModel())
     assert string_gains(coupling, LinearModel()) is None
@@ -231,9 +224,7 @@ def test_analyze_compares_all_four_laws(capsys: pytest.CaptureFixture[str]) -> N
 def test_growing_errors_are_reported_with_remedies(tmp_path: Path) -> None:
     law = {
         "name": "cooperative",
-        "gains": {"position_1_s2": 1.0, "velocity_1_s": 2.5},
-        "feedforward": 0.9,
-        "exponent": 8,
+        "parameters": {"position_gain_1_s2": 1.0, "velocity_gain_1_s": 2.5, "feedforward": 0.9, "exponent": 8},
     }
     grows_under_weighted = verdict(analyse(load_subject(changed(tmp_path, law={"name": "weighted"}))))
     assert any(f.code is Code.ERRORS_GROW and "feedforward" in f.text for f in grows_under_weighted)
@@ -244,19 +235,19 @@ def test_growing_errors_are_reported_with_remedies(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("gains", "said", "code"),
     [
-        ({"position_1_s2": 3.0, "velocity_1_s": 1.2}, "small delay margin", 0),
-        ({"position_1_s2": 10.0, "velocity_1_s": 1.0}, "unstable with the attitude lag alone", 1),
-        ({"position_1_s2": 10.0, "velocity_1_s": 10.0}, "unstable with the attitude lag alone", 1),
-        ({"position_1_s2": 1e-9, "velocity_1_s": 10.0}, "unstable with the attitude lag alone", 1),
-        ({"position_1_s2": 2.2, "velocity_1_s": 2.6}, "unstable with the delays of its flight", 1),
-        ({"position_1_s2": 1e-9, "velocity_1_s": 1.0}, "not within 10 cm", 0),
-        ({"position_1_s2": 10.0, "velocity_1_s": 1e-9}, "unstable with the attitude lag alone", 1),
+        ({"position_gain_1_s2": 3.0, "velocity_gain_1_s": 1.2}, "small delay margin", 0),
+        ({"position_gain_1_s2": 10.0, "velocity_gain_1_s": 1.0}, "unstable with the attitude lag alone", 1),
+        ({"position_gain_1_s2": 10.0, "velocity_gain_1_s": 10.0}, "unstable with the attitude lag alone", 1),
+        ({"position_gain_1_s2": 1e-9, "velocity_gain_1_s": 10.0}, "unstable with the attitude lag alone", 1),
+        ({"position_gain_1_s2": 2.2, "velocity_gain_1_s": 2.6}, "unstable with the delays of its flight", 1),
+        ({"position_gain_1_s2": 1e-9, "velocity_gain_1_s": 1.0}, "not within 10 cm", 0),
+        ({"position_gain_1_s2": 10.0, "velocity_gain_1_s": 1e-9}, "unstable with the attitude lag alone", 1),
     ],
 )
 def test_bad_gains_are_reported(
     tmp_path: Path, gains: object, said: str, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = changed(tmp_path, law={"name": "weighted", "gains": gains})
+    path = changed(tmp_path, law={"name": "weighted", "parameters": gains})
     assert main(["analyze", str(path)]) == code
     text = capsys.readouterr().out
     assert said in " ".join(text.split())
@@ -317,14 +308,14 @@ def test_json_has_the_reason_for_no_convergence(
 @pytest.mark.parametrize(
     "law",
     [
-        {"exponent": 17},
-        {"exponent": -1},
-        {"feedforward": 1.0},
-        {"feedforward": -0.1},
-        {"gains": {"position_1_s2": 0, "velocity_1_s": 1}},
-        {"gains": {"position_1_s2": 1, "velocity_1_s": 11}},
-        {"gains": {"position_1_s2": float("nan"), "velocity_1_s": 1}},
-        {"name": "average_22", "feedforward": 0.5},
+        {"parameters": {"exponent": 17}},
+        {"parameters": {"exponent": -1}},
+        {"parameters": {"feedforward": 1.0}},
+        {"parameters": {"feedforward": -0.1}},
+        {"parameters": {"position_gain_1_s2": 0, "velocity_gain_1_s": 1}},
+        {"parameters": {"position_gain_1_s2": 1, "velocity_gain_1_s": 11}},
+        {"parameters": {"position_gain_1_s2": float("nan"), "velocity_gain_1_s": 1}},
+        {"name": "average_22", "parameters": {"feedforward": 0.5}},
         {"name": "best"},
     ],
 )

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from companion.analysis.interaction import share_left, shift_m
-from companion.core.consensus.law import cooperative
 from companion.core.estimation.corrections import VelocityCorrection
+from tests.helpers.laws import cooperative
 
 GAINS = cooperative().gains
 W = 2.0

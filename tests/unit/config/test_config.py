@@ -7,10 +7,12 @@ from typing import Any
 import pytest
 import yaml
 
-from companion.assembly import law_of
 from companion.config.file import ConfigError
+from companion.config.law import law_of
 from companion.config.vehicle import load_agent
-from companion.core.consensus.law import Gains, Weighting, cooperative, weighted
+from companion.laws.weighted import Weighted
+from companion.types.formation import Gains
+from tests.helpers.laws import cooperative, weighted
 
 FLEET: dict[str, Any] = {
     "name": "pair",
@@ -20,7 +22,7 @@ FLEET: dict[str, Any] = {
         {"id": 2, "role": "follower", "slot_enu_m": [-1.5, 0.0, 0.0]},
     ],
     "neighbours": {"kind": "edges", "edges": [[1, 2]]},
-    "law": {"name": "weighted", "gains": {"position_1_s2": 1.39, "velocity_1_s": 1.2}},
+    "law": {"name": "weighted", "parameters": {"position_gain_1_s2": 1.39, "velocity_gain_1_s": 1.2}},
 }
 VEHICLE: dict[str, Any] = {"id": 2, "fleet": "fleet.yaml", "mavlink": "udpin:0.0.0.0:14541", "hover_thrust_norm": 0.5}
 LEADER: dict[str, Any] = VEHICLE | {"id": 1, "reference": {"kind": "point", "point_enu_m": [1.0, 0.0, 1.0]}}
@@ -58,23 +60,34 @@ def test_the_default_law_is_cooperative(tmp_path: Path) -> None:
 
 def test_parameters_of_a_law_can_be_changed_one_by_one(tmp_path: Path) -> None:
     fleet = deep_copy(FLEET)
-    fleet["law"] = {"name": "weighted", "gains": {"velocity_1_s": 2.0}, "feedforward": 0.5}
+    fleet["law"] = {"name": "weighted", "parameters": {"velocity_gain_1_s": 2.0, "feedforward": 0.5}}
     law = law_of(load_agent(write(tmp_path, fleet, LEADER)).fleet.law)
-    assert (law.gains, law.weighting, law.feedforward) == (Gains(1.39, 2.0), Weighting(1.0), 0.5)
-    assert law.leader_uses_neighbours
+    assert law == Weighted(1.39, 2.0, exponent=1.0, feedforward=0.5, leader_uses_neighbours=True)
 
 
 @pytest.mark.parametrize(
     ("change", "parts"),
     [
-        (lambda f: f["law"].update(gians={}), ["law.gians", "unknown key", '"gains"']),
-        (lambda f: f["law"]["gains"].update(position_1_s2=-1.0), ["law.gains.position_1_s2", "-1.0", "> 0"]),
-        (lambda f: f["law"]["gains"].update(velocity_1_s="fast"), ["law.gains.velocity_1_s", "'fast'", "float"]),
+        (lambda f: f["law"].update(paramters={}), ["law.paramters", "unknown key", '"parameters"']),
+        (
+            lambda f: f["law"]["parameters"].update(position_gain_1_s2=-1.0),
+            ["law.parameters.position_gain_1_s2", "-1.0", "> 0"],
+        ),
+        (
+            lambda f: f["law"]["parameters"].update(velocity_gain_1_s="fast"),
+            ["law.parameters.velocity_gain_1_s", "'fast'", "float"],
+        ),
         (lambda f: f["law"].update(name="weigthed"), ["law.name", "'weigthed'", "average_22", '"weighted"']),
-        (lambda f: f["law"].update(exponent=99), ["law.exponent", "99", "<= 16"]),
-        (lambda f: f["law"].update(feedforward=1.0), ["law.feedforward", "1.0", "<= 0.99"]),
-        (lambda f: f["law"].update(name="average_22", exponent=2), ["law.exponent", "average_22", "weighted"]),
-        (lambda f: f["law"].update(name="average_26", feedforward=0.5), ["law.feedforward", "average_26", "weighted"]),
+        (lambda f: f["law"].update(parameters={"exponent": 99}), ["law.parameters.exponent", "99", "<= 16"]),
+        (lambda f: f["law"].update(parameters={"feedforward": 1.0}), ["law.parameters.feedforward", "1.0", "<= 0.99"]),
+        (
+            lambda f: f["law"].update(name="average_22", parameters={"exponent": 2}),
+            ["law.parameters.exponent", "unknown key"],
+        ),
+        (
+            lambda f: f["law"].update(name="average_26", parameters={"feedforward": 0.5}),
+            ["law.parameters.feedforward", "unknown key"],
+        ),
         (lambda f: f["vehicles"][1].update(id=1), ["vehicles[1].id", "used twice"]),
         (lambda f: f["vehicles"][1].update(id=0), ["vehicles[1].id", "0", ">= 1"]),
         (lambda f: f["vehicles"][1].pop("slot_enu_m"), ["vehicles[1].slot_enu_m", "required"]),

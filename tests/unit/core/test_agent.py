@@ -8,7 +8,8 @@ from msgspec.structs import replace
 
 from common import codes_of, outcome, with_fields
 from companion.assembly import trajectory_of
-from companion.config.fleet import FleetConfig, FormationMember, Law
+from companion.config.fleet import FleetConfig, FormationMember
+from companion.config.law import LawSection
 from companion.config.reference import Figure8Reference, PointReference
 from companion.core.command.hand_over import BRAKES_WITHIN_S, LEVEL_BEFORE_HAND_OVER_S, TAKES_OVER_WITHIN_S
 from companion.types.autopilot import (
@@ -210,7 +211,7 @@ def test_own_altitude_hold_leaves_the_horizontal_law_alone() -> None:
         origin="indoor",
         vehicles=FLEET.vehicles,
         neighbours=FLEET.neighbours,
-        law=Law(name="weighted", altitude="hold"),
+        law=LawSection(name="weighted", altitude="hold"),
         takeoff_height_m=1.0,
     )
     flight = AgentFlight(fleet=fleet).fly_to(FlightPhase.FORMATION)
@@ -419,7 +420,7 @@ MAY_LEAD = FleetConfig(
     origin="indoor",
     vehicles=(FLEET.vehicles[0], FormationMember(id=2, role=Role.FOLLOWER, slot_enu_m=(-1.5, 0.0, 0.0), may_lead=True)),
     neighbours=FLEET.neighbours,
-    law=Law(name="weighted"),
+    law=LawSection(name="weighted"),
     takeoff_height_m=1.0,
 )
 EIGHT = Figure8Reference(centre_enu_m=(0.0, 0.0, 1.0), width_m=6.0, height_m=3.0, period_s=40.0)

@@ -105,18 +105,20 @@ def called(owner: type, method: str) -> set[tuple[str, str]]:
 
 
 def test_each_call_of_a_tick_is_among_the_stages() -> None:
-    """But for the parts of the agent, whose stages are, and the recorder, whose defects end the recording alone."""
+    """But for the parts of the agent, whose stages are, the recorder, whose defects end the recording alone, and the clock
+    of a law from outside, which no built-in law has.
+    """
     flight = FailingFlight(AutopilotKind.PX4)
     listed = [stage(flight) for stage in STAGES.values()]
-    without_recorder = (None, "tick")
+    without_recorder, without_timer = (None, "tick"), (None, "read_s")
     parts = [(flight.agent, part) for part in ("prepare", "decide", "report")]
     calls = [(getattr(flight.loop, attribute), method) for attribute, method in called(ControlLoop, "tick")]
     calls += [
         (getattr(flight.agent, attribute), method) for _, part in parts for attribute, method in called(Agent, part)
     ]
-    for apart in (without_recorder, *parts):
+    for apart in (without_recorder, without_timer, *parts):
         assert apart in calls
-    missing = [call for call in calls if call not in [without_recorder, *parts, *listed]]
+    missing = [call for call in calls if call not in [without_recorder, without_timer, *parts, *listed]]
     assert missing == []
 
 

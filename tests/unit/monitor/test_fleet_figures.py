@@ -11,14 +11,13 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.analysis.interaction import interaction_matrix
-from companion.assembly import law_of
-from companion.config.fleet import Law
+from companion.config.law import LawSection, law_of
 from companion.monitor.api import NearestView
 from companion.monitor.fleet_figures import FleetFigures, convergence, smallest_separation, weakest_link
 from companion.types.values import Vector3
 from live_site import monitored_vehicle
 
-WEIGHTED = Law(name="weighted")
+WEIGHTED = LawSection(name="weighted")
 coordinates = st.floats(-100.0, 100.0)
 positions = st.dictionaries(st.integers(1, 30), st.tuples(coordinates, coordinates, coordinates), max_size=8)
 
@@ -51,7 +50,7 @@ def test_lambda_min_and_settling_of_a_chain_of_three() -> None:
     smallest = float(np.linalg.eigvals(matrix).real.min())
     assert lambda_min == pytest.approx(smallest, abs=1e-4)
     # Below critical damping errors shrink with k2 lambda / 2 (Corollary 1).
-    assert settling_s == pytest.approx(np.log(10.0) / (law.gains.velocity_1_s * smallest / 2.0), abs=0.01)
+    assert settling_s == pytest.approx(np.log(10.0) / (law.velocity_gain_1_s * smallest / 2.0), abs=0.01)
 
 
 def test_without_a_path_to_a_leader_nothing_converges() -> None:

@@ -13,7 +13,6 @@ from mcap.reader import make_reader
 
 from agent_on_bytes import PERIOD_S, FailingFlight
 from common import until
-from companion.core.consensus.law import cooperative
 from companion.link.tick import PREPARED_S
 from companion.recording.codec import decode_inbox, decode_outbox, encode
 from companion.recording.files import PartFiles
@@ -28,6 +27,7 @@ from companion.types.notices import Code
 from companion.types.tick import Inbox, Outbox
 from companion.wire.rounding import round_outbox
 from recordings import BEGAN_UNIX_S, Disk, recorder
+from tests.helpers.laws import cooperative
 
 P = FlightPhase
 SECOND = round(1.0 / PERIOD_S)  # ticks

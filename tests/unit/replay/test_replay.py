@@ -355,11 +355,11 @@ def test_the_same_settings_have_no_difference(flight: Path, capsys: pytest.Captu
 
 def test_the_table_of_other_settings(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = replayed(
-        flight, capsys, "--set", "fleet.law.gains.position_1_s2=0.5", "--set", "vehicle.drag_1_s=0.1"
+        flight, capsys, "--set", "fleet.law.parameters.position_gain_1_s2=0.5", "--set", "vehicle.drag_1_s=0.1"
     )
     assert code == 0
     heading, columns, *vehicles = out.splitlines()
-    assert heading.startswith("with fleet.law.gains.position_1_s2=0.5, vehicle.drag_1_s=0.1, against")
+    assert heading.startswith("with fleet.law.parameters.position_gain_1_s2=0.5, vehicle.drag_1_s=0.1, against")
     assert len(vehicles) == 2
     assert all(line.startswith("vehicle ") and " tick " in line for line in vehicles)
     assert max(map(len, (columns, *vehicles))) <= 120

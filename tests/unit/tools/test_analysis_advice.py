@@ -16,12 +16,13 @@ from companion.analysis.margins import least_delay_margin_s, string_gains
 from companion.analysis.response import SPARE_S, flown_model
 from companion.cli.main import main
 from companion.config.file import ConfigError
-from companion.core.consensus.law import FormationLaw, Gains, Weighting
 from companion.tools.analysis import Analysis, analyse
 from companion.tools.analysis_report import report, verdict
 from companion.tools.subject import load_subject
+from companion.types.formation import Gains
 from companion.types.notices import Code
 from sitl.flight.scenario import ScenarioFile, load_scenario
+from tests.helpers.laws import law_of
 
 CONFIG = ROOT / "config"
 MODELS = [flown_model(link_s=link_s) for link_s in (0.001, 0.05, 0.1)]
@@ -59,7 +60,7 @@ def in_a_line(tmp_path: Path, n: int, law: dict[str, Any], **changes: Any) -> Pa
 
 
 def law(k1: float, k2: float, **more: Any) -> dict[str, Any]:
-    return {"name": "weighted", "gains": {"position_1_s2": k1, "velocity_1_s": k2}, **more}
+    return {"name": "weighted", "parameters": {"position_gain_1_s2": k1, "velocity_gain_1_s": k2, **more}}
 
 
 # ---------------------------------------------------------------- unstable
@@ -128,7 +129,7 @@ def advised(tmp_path: Path, n: int, k1: float, k2: float, feedforward: float) ->
 
 
 def margin_s(n: int, k1: float, k2: float, feedforward: float) -> float:
-    law = FormationLaw(Gains(k1, k2), Weighting(1.0), True, feedforward)
+    law = law_of(Gains(k1, k2), 1.0, True, feedforward)
     return least_delay_margin_s([couple(chain(n), {1}, law)], MODELS)
 
 
@@ -171,7 +172,7 @@ def test_advice_increases_the_delay_margin(tmp_path: Path, k1: float, ratio_s: f
 def test_advice_decreases_the_string_gain(tmp_path: Path, k1: float, ratio_s: float, feedforward: float) -> None:
     def to_last(k1: float, k2: float) -> float:
         gains = string_gains(
-            couple(chain(4), {1}, FormationLaw(Gains(k1, k2), Weighting(1.0), True, feedforward)),
+            couple(chain(4), {1}, law_of(Gains(k1, k2), 1.0, True, feedforward)),
             MODELS[0],
         )
         assert gains is not None
@@ -250,16 +251,16 @@ def test_invalid_scenario_is_refused_as_in_flight(tmp_path: Path, old: str, new:
 
 def test_settings_of_the_command_line_take_the_place_of_those_of_the_file(capsys: pytest.CaptureFixture[str]) -> None:
     platoon = CONFIG / "scenarios" / "platoon.yaml"
-    settings = ["fleet.law.name=cooperative", "fleet.law.weight_ratio=0.2"]
+    settings = ["fleet.law.name=cooperative", "fleet.law.parameters.weight_ratio=0.2"]
     analysis = analyse(load_subject(platoon, settings))
     assert (analysis.law, analysis.laws["cooperative"].weight_ratio, analysis.settings) == (
         "cooperative",
         0.2,
         settings,
     )
-    assert "with fleet.law.name=cooperative, fleet.law.weight_ratio=0.2" in report(analysis).splitlines()
-    assert main(["analyze", str(platoon), "--set", "fleet.law.weight_ratio=2"]) == 2
-    assert capsys.readouterr().err == "--set: fleet.law.weight_ratio: 2: expected float <= 1.0\n"
+    assert "with fleet.law.name=cooperative, fleet.law.parameters.weight_ratio=0.2" in report(analysis).splitlines()
+    assert main(["analyze", str(platoon), "--set", "fleet.law.parameters.weight_ratio=2"]) == 2
+    assert capsys.readouterr().err == "--set: fleet.law.parameters.weight_ratio: 2: expected float <= 1.0\n"
 
 
 def test_sections_not_read_are_listed() -> None:

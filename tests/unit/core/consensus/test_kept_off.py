@@ -6,21 +6,14 @@ from math import inf
 
 import pytest
 
-from companion.core.consensus.law import (
-    BACK_WITHIN_M,
-    INTERVENES_M_S2,
-    LASTS_S,
-    NEARER_WITHIN_S,
-    FormationState,
-    KeptOff,
-    target,
-    weighted,
-)
-from companion.core.consensus.peers import PeerState, formation_state_at
+from companion.core.consensus.kept_off import BACK_WITHIN_M, INTERVENES_M_S2, LASTS_S, NEARER_WITHIN_S, KeptOff, target
+from companion.core.consensus.peers import PeerState, neighbour_at
+from companion.laws import Neighbour
 from companion.types.flight import FlightPhase, Role
-from companion.types.formation import FlownSlot
+from companion.types.formation import FlownSlot, FormationState
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.values import ZERO3
+from tests.helpers.laws import weighted
 
 RFT = FormationState((10.0, 0.0, 5.0), (1.0, 0.0, 0.0), (0.0, 0.5, 0.0))
 
@@ -79,7 +72,9 @@ def test_leaving_formation_ends_it() -> None:
 
 
 def test_the_rft_is_that_of_the_law() -> None:
-    neighbours = [(1, off_by(0.0)), (3, off_by(4.0))]  # weights 3/4 and 1/4
+    neighbours = [
+        Neighbour(off_by(m).position_enu_m, ZERO3, prc=prc) for prc, m in ((1, 0.0), (3, 4.0))
+    ]  # weights 3/4 and 1/4
     assert target(weighted(), neighbours, RFT) is RFT
     assert target(weighted(), [], None) is None
     mean = target(weighted(), neighbours, None)
@@ -105,7 +100,7 @@ def test_peers_use_the_rft_in_place_of_its_offset() -> None:
         rft=(RFT.position_enu_m, RFT.velocity_enu_m_s, RFT.acceleration_enu_m_s2),
     )
     peer = PeerState(packet, received_s=1.0, least_apart_s=0.0, measured_s=1.0)
-    state = formation_state_at(peer, 1.02)
+    state = neighbour_at(peer, 1.02, 1)
     assert state.position_enu_m == pytest.approx(
         tuple(x + 0.02 * v for x, v in zip(RFT.position_enu_m, RFT.velocity_enu_m_s, strict=True)), abs=3e-4
     )

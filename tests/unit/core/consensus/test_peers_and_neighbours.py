@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from common import with_fields
 from companion.core.consensus.neighbours import BRIDGED_S, BRIDGES_AFTER_S, EdgeRule, RangeRule
-from companion.core.consensus.peers import EXTRAPOLATED_MOST_S, FleetLimits, PeerState, PeerTable, formation_state_at
+from companion.core.consensus.peers import EXTRAPOLATED_MOST_S, FleetLimits, PeerState, PeerTable, neighbour_at
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, Heading, LeaderBeacon
@@ -64,7 +64,7 @@ MOVING = with_fields(
 @given(st.floats(0.0, EXTRAPOLATED_MOST_S))
 def test_the_law_uses_neighbours_where_they_are_now(age_s: float) -> None:
     """A neighbour with constant acceleration, less its slot: x + v a + u a^2 / 2, and v + u a."""
-    state = formation_state_at(PeerState(MOVING, 1.0, 0.0, measured_s=1.0), 1.0 + age_s)
+    state = neighbour_at(PeerState(MOVING, 1.0, 0.0, measured_s=1.0), 1.0 + age_s, 1)
     assert state.position_enu_m[0] == pytest.approx(2.5 + 1.5 * age_s + 0.4 * age_s**2)
     assert state.position_enu_m[1:] == pytest.approx((2.0 - age_s + 0.25 * age_s**2, 3.0 - 0.25 * age_s**2))
     assert state.velocity_enu_m_s == pytest.approx((1.5 + 0.8 * age_s, -1.0 + 0.5 * age_s, -0.5 * age_s))
@@ -74,8 +74,9 @@ def test_the_law_uses_neighbours_where_they_are_now(age_s: float) -> None:
 @pytest.mark.parametrize(("prc", "most_s"), [(1, 0.08), (3, 0.08), (4, 0.04), (100, 0.04)])
 def test_states_are_extrapolated_by_two_ticks_at_most_and_by_four_near_the_leader(prc: int, most_s: float) -> None:
     state = PeerState(with_fields(MOVING, prc=prc), 1.0, 0.0, measured_s=1.0)
-    assert formation_state_at(state, 1.3) == formation_state_at(state, 1.0 + most_s)
-    assert formation_state_at(state, 1.3) != formation_state_at(state, 0.99 + most_s)
+    longest, nearly = (neighbour_at(state, 1.0 + age_s, prc) for age_s in (most_s, most_s - 0.01))
+    assert neighbour_at(state, 1.3, prc).position_enu_m == longest.position_enu_m != nearly.position_enu_m
+    assert neighbour_at(state, 1.3, prc).age_s == pytest.approx(0.3)  # the law is told how old it is
     assert state.position_at(1.3)[0] == pytest.approx(1.0 + 2.0 * 0.3)  # what is kept apart is where it is
 
 

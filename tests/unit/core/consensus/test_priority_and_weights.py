@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.consensus.law import Weighting, neighbour_weights, next_prc
+from companion.core.consensus.law import next_prc
+from companion.laws import neighbour_weights
 
 Graph = dict[int, set[int]]
 
@@ -39,7 +40,7 @@ def interaction_matrix(
     matrix = np.zeros((len(ids), len(ids)))
     for row, i in enumerate(ids):
         used = sorted(neighbours[i]) if leader_has_neighbours or i not in leaders else []
-        weights = neighbour_weights([prcs[j] for j in used], Weighting(exponent))
+        weights = neighbour_weights(tuple([prcs[j] for j in used]), exponent)
         for j, weight in zip(used, weights, strict=True):
             matrix[row, ids.index(j)] = -weight
         matrix[row, row] = sum(weights) + (i in leaders)
@@ -83,7 +84,7 @@ def test_interaction_matrices_of_section_5_2(leader: int, expected: list[list[fl
 def test_weights_of_vertex_3_in_figure_2() -> None:
     prcs = settled_prcs(FIGURE_2, {1})
     assert prcs[5] - 1 == 2  # the distance of vertices 1 and 5
-    weights = neighbour_weights([prcs[j] for j in (1, 2, 5, 6)], Weighting())
+    weights = neighbour_weights(tuple([prcs[j] for j in (1, 2, 5, 6)]))
     assert weights == pytest.approx([float(Fraction(k, 13)) for k in (6, 3, 2, 2)], abs=1e-12)
 
 
@@ -97,7 +98,7 @@ def test_smallest_eigenvalue_of_the_platoon(exponent: float, leader_has_neighbou
 
 @given(st.lists(st.integers(1, 250), min_size=1, max_size=20), st.floats(0, 16), st.floats(0.001, 1.0))
 def test_weights_add_up_to_one_and_favour_the_smaller_prc(prcs: list[int], exponent: float, ratio: float) -> None:
-    weights = neighbour_weights(prcs, Weighting(exponent, ratio))
+    weights = neighbour_weights(tuple(prcs), exponent, ratio)
     assert sum(weights) == pytest.approx(1.0)
     order = sorted(range(len(prcs)), key=lambda i: prcs[i])
     assert all(weights[a] >= weights[b] for a, b in pairwise(order))
@@ -105,20 +106,20 @@ def test_weights_add_up_to_one_and_favour_the_smaller_prc(prcs: list[int], expon
 
 @pytest.mark.parametrize("prc", [2, 16, 100, 249])
 def test_a_ratio_is_as_sharp_at_every_hop(prc: int) -> None:
-    before, behind = neighbour_weights([prc - 1, prc + 1], Weighting(0.0, 0.1))
+    before, behind = neighbour_weights((prc - 1, prc + 1), 0.0, 0.1)
     assert behind / before == pytest.approx(0.01)
-    flat = neighbour_weights([prc - 1, prc + 1], Weighting(8.0))
+    flat = neighbour_weights((prc - 1, prc + 1), 8.0)
     assert flat[1] / flat[0] == pytest.approx(((prc - 1) / (prc + 1)) ** 8)  # 0.0002 at 2 hops, 0.9 at 249
 
 
 def test_a_ratio_of_one_changes_no_bit() -> None:
-    for prcs in ([1, 3], [2, 2, 5], [7, 8, 9]):
+    for prcs in ((1, 3), (2, 2, 5), (7, 8, 9)):
         shares = [prc**-8.0 for prc in prcs]
-        assert neighbour_weights(prcs, Weighting(8.0)) == tuple(share / sum(shares) for share in shares)
+        assert neighbour_weights(prcs, 8.0) == tuple(share / sum(shares) for share in shares)
 
 
 def test_no_weights_without_neighbours() -> None:
-    assert neighbour_weights([], Weighting()) == ()
+    assert neighbour_weights(()) == ()
 
 
 def test_prc_rises_to_n_without_a_leader() -> None:

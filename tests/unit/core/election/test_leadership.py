@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from common import outcome, with_fields
 from companion.analysis.interaction import interaction_matrix
 from companion.analysis.response import settled_prcs
-from companion.core.consensus.law import weighted
 from companion.core.election.beacon import WAITED_S, MissionClock
 from companion.core.election.leadership import Leadership
 from companion.types.autopilot import VehicleState
@@ -21,6 +20,7 @@ from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code, Notice
 from companion.types.peers import ReceivedPeerPacket
 from stage_fleets import CHAIN, RING, TICK_S, CooperatingFleet, leaders_in
+from tests.helpers.laws import weighted
 
 
 def leadership(own_id: int = 1) -> Leadership:

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from companion.analysis.response import COST_PER_STEP, Chain
-from companion.config.fleet import FleetConfig, FormationMember, Law, RangeNeighbours
+from companion.config.fleet import FleetConfig, FormationMember, RangeNeighbours
+from companion.config.law import LawSection
 from companion.config.reference import CircleReference, Figure8Reference
 from companion.core.formation.changes import HEARD_PERIOD_S, QUEUED, Changes
 from companion.core.formation.slots import SlotPlan
@@ -31,7 +32,7 @@ TWELVE = FleetConfig(
         for i in range(1, VEHICLES + 1)
     ),
     neighbours=RangeNeighbours(range_m=50.0),
-    law=Law(name="weighted"),
+    law=LawSection(name="weighted"),
     separation_m=1.0,
     successors=(2, 3),
 )

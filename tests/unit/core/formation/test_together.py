@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from common import SLOTS, code_of, slot_peer, with_fields
-from companion.core.consensus.law import FormationState, Gains, cooperative, weighted
 from companion.core.consensus.peers import PeerState
 from companion.core.formation.paths import FORM_OR_HOLD, Entering, FormingTogether, law_within_m
 from companion.types.autopilot import VehicleState
 from companion.types.flight import STREAMING, FlightPhase
-from companion.types.formation import EAST, FlownSlot
+from companion.types.formation import EAST, FlownSlot, FormationState, Gains
 from companion.types.notices import Code, Notice
 from companion.types.values import ZERO3, Vector3
+from tests.helpers.laws import cooperative, weighted
 
 NOW_S = 100.0
 AT: Vector3 = (20.0, 0.0, 2.0)  # of the RFT

@@ -18,7 +18,6 @@ from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
 from companion.config.reference import CircleReference, PointReference, Reference
 from companion.config.reference_check import check_reference, most_pace
-from companion.core.consensus.law import FormationState
 from companion.core.consensus.stage import Consensus, LeadView, Neighbours, PeerSets
 from companion.core.election.beacon import WAITED_S
 from companion.core.formation.entry import FormationEntry, Joining, LeadIn
@@ -41,7 +40,7 @@ from companion.geometry.formations import (
 from companion.types.autopilot import VehicleState
 from companion.types.commands import Lead
 from companion.types.flight import Flight, FlightPhase, HealthFlag, Role
-from companion.types.formation import EAST, FlownSlot, Heading
+from companion.types.formation import EAST, FlownSlot, FormationState, Heading
 from companion.types.notices import Code, Notice
 from companion.types.values import ZERO3, Vector3
 from stage_fleets import RING, CooperatingFleet

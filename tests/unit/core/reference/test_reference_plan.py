@@ -12,14 +12,13 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from common import ROOT, code_of, codes_of, outcome
-from companion.core.consensus.law import FormationState
 from companion.core.reference.blend import BlendLimits, along, blending, point, reference_box
 from companion.core.reference.plan import ReferencePlan
 from companion.core.reference.target import Box
 from companion.geometry.curves import Curve, centred_at, circle, decay_to_rest, figure_8
 from companion.types.commands import ReferenceChange
 from companion.types.flight import FlightPhase, Role
-from companion.types.formation import FlownSlot, HeldReference
+from companion.types.formation import FlownSlot, FormationState, HeldReference
 from companion.types.notices import Answer, Code, Notice, accept, refuse
 from companion.types.peers import LeaderReport, Motion, PeerPacket, ReceivedTarget, Sender, TargetSample
 from companion.types.steps import whole

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.core.consensus.law import FormationState
 from companion.core.reference.target import LONGEST_S, Box, Room, TargetLimits, TargetPursuit, can_keep
 from companion.geometry.airspace import Airspace, Cuboid, Cylinder, Fence
 from companion.geometry.vectors import plus
+from companion.types.formation import FormationState
 from companion.types.values import ZERO3, Vector3
 
 BOX: Box = ((-50.0, -20.0, 1.0), (50.0, 20.0, 30.0))

@@ -72,6 +72,7 @@ IN_FORMATION: dict[HealthFlag, dict[str, float]] = {
     F.FAILSAFE_ACTIVE: {"warn": 0.0, "hold": 3.0},
     F.TILT_EXCEEDED: {"warn": 0.0, "hold": 0.3},
     F.TICK_LATE: {"warn": 0.0, "hold": 5.0},
+    F.LAW_SLOW: {"warn": 0.0, "hold": 1.0},
     F.BATTERY_LOW: {"warn": 0.0, "hold": 3.0},
     F.BATTERY_CRITICAL: {"warn": 0.0, "hold": 3.0},
 }
@@ -90,7 +91,7 @@ IN_A_COMMANDED_HOLD: dict[HealthFlag, dict[str, float]] = {
 }
 STOPS = (F.POSITION_STALE, F.ATTITUDE_STALE, F.MODE_STALE, F.FRAME_UNKNOWN, F.GROUND_UNKNOWN)
 LATCHED = (F.BATTERY_LOW, F.BATTERY_CRITICAL, F.FAILSAFE_ACTIVE)  # a recovered voltage says nothing
-LATE_FOR_S = 1.0  # TICK_LATE clears so long after the last late tick
+STAYS_S = {F.TICK_LATE: 1.0, F.LAW_SLOW: 0.2}  # they clear so long after the last tick that was late or slow
 NOT_FLOWN_BY_THE_AGENT = sorted(set(P) - STREAMING - {P.HOLD, P.RELEASE})
 LEAVING = (P.RELEASE, P.LAND, P.RETURN)  # out of formation they begin with the stream
 
@@ -109,7 +110,7 @@ class Vehicle:
         self.stopping = False
         self.home_enu_m: Place | None = (0.0, 0.0)
         self.leaves_formation = False
-        self._late_s = -inf
+        self._last_s = dict.fromkeys(STAYS_S, -inf)
 
     def tick(self) -> Safety:
         self.now_s += TICK_S
@@ -124,7 +125,11 @@ class Vehicle:
             self._separation(),
             self.now_s if self.silent_since_s is None else self.silent_since_s,
             self.commanded,
-            Inbox(stopping=self.stopping, late_s=0.2 if F.TICK_LATE in self.raised else 0.0),
+            Inbox(
+                stopping=self.stopping,
+                late_s=0.2 if F.TICK_LATE in self.raised else 0.0,
+                law_s=0.003 if F.LAW_SLOW in self.raised else 0.002,
+            ),
         )
         assert safety.flags == self._expected_flags()
         self.commanded = False
@@ -140,10 +145,11 @@ class Vehicle:
 
     def _expected_flags(self) -> set[HealthFlag]:
         expected = set(self.raised)
-        if F.TICK_LATE in self.raised:
-            self._late_s = self.now_s
-        if self.now_s - self._late_s < LATE_FOR_S:
-            expected.add(F.TICK_LATE)
+        for flag, stays_s in STAYS_S.items():
+            if flag in self.raised:
+                self._last_s[flag] = self.now_s
+            if self.now_s - self._last_s[flag] < stays_s:
+                expected.add(flag)
         if self.phase not in (P.ENGAGE, P.FORMATION, P.RELEASE, P.HOLD):
             expected.discard(F.FLEET_LINK_LOST)  # on its own nothing depends on the others
         return expected
@@ -358,7 +364,7 @@ def test_the_highest_action_of_several_flags_is_taken(kind: AutopilotKind) -> No
 
 def cleared(vehicle: Vehicle) -> None:
     vehicle.raised = set()
-    for _ in range(round(LATE_FOR_S / TICK_S) + 1):
+    for _ in range(round(max(STAYS_S.values()) / TICK_S) + 1):
         vehicle.tick()
 
 
@@ -372,8 +378,8 @@ def test_a_flag_that_is_cleared_before_its_last_step_begins_again_at_the_first(
     vehicle.phase = phase
     last_s = max(IN_FORMATION[flag].values())
     lasts_s = max(TICK_S, last_s - 2 * TICK_S)
-    if flag is F.TICK_LATE:
-        lasts_s -= LATE_FOR_S  # it is raised for so long after the last late tick
+    if flag in STAYS_S:
+        lasts_s -= STAYS_S[flag]  # it is raised for so long after the last late tick
     assert set(vehicle.requested(lasts_s)) == {label for label, at_s in IN_FORMATION[flag].items() if at_s <= lasts_s}
     cleared(vehicle)
     assert vehicle.requested() == {}

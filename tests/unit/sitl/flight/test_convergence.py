@@ -42,7 +42,7 @@ def test_every_shipped_scenario_converges_under_every_law_that_can_follow_it(pat
 @pytest.mark.parametrize(
     ("path", "override", "code"),
     [
-        (PLATOON, "fleet.law.gains.velocity_1_s=0.05", Code.FORMATION_UNSTABLE),
+        (PLATOON, "fleet.law.parameters.velocity_gain_1_s=0.05", Code.FORMATION_UNSTABLE),
         (CHAIN, "fleet.neighbours.edges=[[1,2]]", Code.NO_PATH_TO_LEADER),
     ],
 )
@@ -59,10 +59,10 @@ def test_the_warnings_are_those_of_analyze() -> None:
 
 @pytest.mark.parametrize("velocity_1_s", [0.05, 0.2, 1.0])
 def test_the_criterion_is_that_of_analyze(velocity_1_s: float, tmp_path: Path) -> None:
-    scenario = load_scenario(PLATOON, [f"fleet.law.gains.velocity_1_s={velocity_1_s}"])
+    scenario = load_scenario(PLATOON, [f"fleet.law.parameters.velocity_gain_1_s={velocity_1_s}"])
     file = tmp_path / "scenario.yaml"
     text = PLATOON.read_text(encoding="utf-8")
-    text = text.replace("name: weighted ", f"gains: {{velocity_1_s: {velocity_1_s}}}\n    name: weighted ")
+    text = text.replace("name: weighted ", f"parameters: {{velocity_gain_1_s: {velocity_1_s}}}\n    name: weighted ")
     file.write_text(text, encoding="utf-8")
     assert load_scenario(file).fleet.law == scenario.fleet.law
     try:
@@ -81,7 +81,7 @@ def test_run_refuses_an_unstable_formation_unless_anyway_is_given(
         "run",
         str(PLATOON),
         "--set",
-        "fleet.law.gains.velocity_1_s=0.05",
+        "fleet.law.parameters.velocity_gain_1_s=0.05",
         "--out",
         str(tmp_path / "x"),
     ]

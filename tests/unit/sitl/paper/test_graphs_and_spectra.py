@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.analysis.interaction import interaction_matrix, mode_figures
-from companion.core.consensus.law import PAPER_GAINS, Gains, weighted
+from companion.types.formation import PAPER_GAINS, Gains
 from sitl.paper.graphs import (
     Led,
     aggregation_graph,
@@ -45,6 +45,7 @@ from sitl.paper.theorems import (
 )
 from sitl.report.claim import ClaimVerdict
 from sitl.study.shapes import chain, ring
+from tests.helpers.laws import weighted
 
 # ---------------------------------------------------------------- graphs
 

@@ -7,8 +7,7 @@ import msgspec
 import pytest
 
 from common import ROOT
-from companion.assembly import law_of
-from companion.core.consensus.law import cooperative
+from companion.config.law import law_of
 from companion.wire.messages import Percentiles, Timing
 from sitl.cli.flights import FLY, flight_options
 from sitl.flight.flights import FlightEnd, FlightOptions, summarize
@@ -16,6 +15,7 @@ from sitl.flight.scenario import load_scenario, with_law
 from sitl.flight.watch import FlightWatch
 from sitl.report.compare import Comparison, compare, in_a_table
 from sitl.report.summary import RunSummary, in_words, read_summary, write_json
+from tests.helpers.laws import cooperative
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 TIMING = Timing(49.996, 2997, 3, Percentiles(1, 2, 3), Percentiles(4, 5, 6), 5.0, 48.0)
@@ -146,9 +146,9 @@ def test_another_law_changes_nothing_else() -> None:
 
 
 def test_the_papers_laws_are_compared_with_the_same_gains_and_cooperative_has_its_own() -> None:
-    scenario = load_scenario(PLATOON, ["fleet.law.gains.velocity_1_s=2", "fleet.law.exponent=3"])
+    scenario = load_scenario(PLATOON, ["fleet.law.parameters.velocity_gain_1_s=2", "fleet.law.parameters.exponent=3"])
     average, past = with_law(scenario, "average_22").fleet.law, with_law(scenario, "cooperative").fleet.law
-    assert (average.gains.velocity_1_s, average.exponent) == (2.0, None)
+    assert average.parameters == {"velocity_gain_1_s": 2}
     assert law_of(past) == cooperative()
 
 

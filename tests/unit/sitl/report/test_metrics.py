@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.analysis.interaction import FloatArray
-from companion.core.consensus.law import FormationState
 from companion.core.reference.blend import point
+from companion.types.formation import FormationState
 from companion.types.values import Vector3
 from sitl.report.metrics import (
     Formation,

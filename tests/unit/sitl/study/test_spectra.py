@@ -7,17 +7,10 @@ import numpy as np
 import pytest
 
 from companion.analysis.interaction import couple, eigenvalues, mode_eigenvalues
-from companion.core.consensus.law import (
-    PAPER_GAINS,
-    FormationLaw,
-    Weighting,
-    average_22,
-    average_26,
-    cooperative,
-    weighted,
-)
+from companion.types.formation import PAPER_GAINS
 from sitl.study import spectra
 from sitl.study.shapes import RANGE_M, SPACING_M, Shape, chain, grid, is_connected, random_geometric, ring
+from tests.helpers.laws import average_22, average_26, cooperative, law_of, weighted
 
 SHAPES = [
     chain(1),
@@ -75,7 +68,7 @@ LAWS = [
     average_22(),
     average_26(),
     cooperative(),
-    FormationLaw(PAPER_GAINS, Weighting(3.0), leader_uses_neighbours=False, feedforward=0.5),
+    law_of(PAPER_GAINS, 3.0, False, 0.5),
 ]
 
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.assembly import law_of
-from companion.core.consensus.law import Weighting, cooperative, weighted
+from companion.config.law import law_of
 from sitl.report.claim import Claim, ClaimVerdict
 from sitl.study.cases import BAD_LINKS, GOOD_LINKS, Case, Figures, closest_m, fly, settled_s
 from sitl.study.figures import save_spectra, save_trade_off
@@ -30,6 +29,7 @@ from sitl.study.settings import AVERAGE_22, COOPERATIVE, MAIN, SETTINGS, WEIGHTE
 from sitl.study.shapes import chain, chain_led_at_both_ends
 from sitl.study.study import Study
 from sitl.study.table import table_text
+from tests.helpers.laws import cooperative, weighted
 
 LINKS = (GOOD_LINKS, BAD_LINKS)
 
@@ -193,10 +193,12 @@ def test_the_settings_match_their_labels() -> None:
     assert law_of(COOPERATIVE.law) == cooperative()
     assert law_of(WEIGHTED.law) == weighted()
     parts = [setting for setting in SETTINGS if setting.is_part]
+    laws = [law_of(part.law) for part in parts]
     ours, papers = cooperative(), weighted()
-    assert [law_of(part.law).weighting for part in parts] == [ours.weighting, *[Weighting()] * 3]
-    assert [law_of(part.law).gains for part in parts] == [papers.gains, ours.gains, papers.gains, papers.gains]
-    assert [law_of(part.law).feedforward for part in parts] == [0.0, 0.0, ours.feedforward, 0.0]
+    weights = [(law.exponent, law.weight_ratio) for law in (ours, papers, papers, papers)]
+    assert [(law.exponent, law.weight_ratio) for law in laws] == weights
+    assert [law.gains for law in laws] == [papers.gains, ours.gains, papers.gains, papers.gains]
+    assert [law.feedforward for law in laws] == [0.0, 0.0, ours.feedforward, 0.0]
     assert [law_of(part.law).leader_uses_neighbours for part in parts] == [True, True, True, False]
     assert parameters_text(WEIGHTED) == "alpha 1, K = (1.39, 1.2), g 0"
     assert len({setting.label for setting in SETTINGS}) == len(SETTINGS)

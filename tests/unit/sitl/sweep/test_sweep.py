@@ -75,26 +75,33 @@ def test_without_vary_there_is_one_combination() -> None:
 @pytest.mark.parametrize(
     ("varied", "text"),
     [
-        (("fleet.law.exponent",), "--vary: fleet.law.exponent: expected KEY=V1,V2,..."),
-        (("fleet.law.exponent=",), "--vary: fleet.law.exponent: has an empty value; expected values separated"),
-        (("fleet.law.exponent=1,,2",), "has an empty value"),
-        (("fleet.law.exponent=1,2,1.0",), "1.0 is listed twice"),
-        (("fleet.law.exponent=1", "fleet.law.exponent=2"), "fleet.law.exponent: is given twice"),
+        (("fleet.law.parameters.exponent",), "--vary: fleet.law.parameters.exponent: expected KEY=V1,V2,..."),
+        (
+            ("fleet.law.parameters.exponent=",),
+            "--vary: fleet.law.parameters.exponent: has an empty value; expected values separated",
+        ),
+        (("fleet.law.parameters.exponent=1,,2",), "has an empty value"),
+        (("fleet.law.parameters.exponent=1,2,1.0",), "1.0 is listed twice"),
+        (
+            ("fleet.law.parameters.exponent=1", "fleet.law.parameters.exponent=2"),
+            "fleet.law.parameters.exponent: is given twice",
+        ),
         (("reference.point_enu_m=[1, 0, 1],[2, 0, 1]",), "lists and mappings cannot be varied"),
         (("fleet.law.name=null",), "'null': expected a number, true, false or a string"),
         (("stand_in.seed=1,2",), "use --seeds N"),
         (("timeline[3].for_s=10,20",), "use --seconds S"),
         (
-            ("fleet.law.exponnt=1",),
-            '--vary fleet.law.exponnt=1: fleet.law.exponnt: unknown key; did you mean "exponent"',
+            ("fleet.law.parameters.exponnt=1",),
+            '--vary fleet.law.parameters.exponnt=1: fleet.law.parameters.exponnt: unknown key; did you mean "exponent"',
         ),
         (
-            ("links.peer_loss=0,1.5", "fleet.law.exponent=1,2"),
+            ("links.peer_loss=0,1.5", "fleet.law.parameters.exponent=1,2"),
             "--vary links.peer_loss=1.5: links.peer_loss: 1.5: expected float <= 1.0",
         ),
         (
-            ("fleet.law.name=weighted,average_22", "fleet.law.exponent=0,1"),
-            "--vary fleet.law.name=average_22 with --vary fleet.law.exponent=0: fleet.law.exponent: average_22 takes no",
+            ("fleet.law.name=weighted,average_22", "fleet.law.parameters.exponent=0,1"),
+            "--vary fleet.law.name=average_22 with --vary fleet.law.parameters.exponent=0:"
+            " fleet.law.parameters.exponent: unknown key",
         ),
     ],
 )
@@ -145,7 +152,7 @@ def test_the_duration_is_that_of_the_form_step() -> None:
 
 
 def test_every_point_is_flown_with_every_seed_once() -> None:
-    own = points("fleet.law.exponent=0,1,2", "links.peer_loss=0,0.1")
+    own = points("fleet.law.parameters.exponent=0,1,2", "links.peer_loss=0,0.1")
     chunks = chunks_of(own, 400, 75.0)
     flown = [(flight.point, flight.seed) for chunk in chunks for flight in chunk.flights]
     assert sorted(flown) == [(point, seed) for point in range(6) for seed in range(1, 401)]
@@ -276,12 +283,12 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
 
 
 def test_a_numeric_key_is_drawn_as_curves(drawn: list[Figure]) -> None:
-    axes = axes_of(["fleet.law.name=weighted,cooperative", "fleet.law.exponent=8,0,2"], 1)
+    axes = axes_of(["fleet.law.name=weighted,cooperative", "fleet.law.parameters.exponent=8,0,2"], 1)
     save_sweep(Path("s.png"), sweep_of(axes), axes)
     (figure,) = drawn
     assert "platoon: 6 flights of 4 vehicles, 40 s each" in figure.get_suptitle()
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["law.name weighted", "law.name cooperative"]
-    assert [axes.get_xlabel() for axes in figure.axes[3:]] == ["fleet.law.exponent"] * 3
+    assert [axes.get_xlabel() for axes in figure.axes[3:]] == ["fleet.law.parameters.exponent"] * 3
     assert all("[" in axes.get_title() for axes in figure.axes)
     curve = next(line for line in figure.axes[1].lines if line.get_label() == "law.name weighted")
     assert list(curve.get_xdata()) == [0.0, 2.0, 8.0]

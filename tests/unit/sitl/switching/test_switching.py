@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from companion.config.fleet import RangeNeighbours
-from companion.core.consensus.law import weighted
 from companion.types.values import Vector3
 from sitl.cli.main import main
 from sitl.report.folder import table_text
@@ -16,6 +15,7 @@ from sitl.switching.figure import save_switching
 from sitl.switching.starts import APART_M, Start, random_start
 from sitl.switching.summary import COLUMNS, cells, limits_text, summarize
 from sitl.switching.topology import BoolArray, Spectra, Topology, losses, mutual, without_beacon
+from tests.helpers.laws import weighted
 
 
 def graph(n: int, *edges: tuple[int, int]) -> BoolArray:

@@ -1,0 +1,44 @@
+"""Files that a configuration file names beside it: read together with it, and copied where it is written again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+from companion.config.law import LawSection
+from companion.config.reference import KINDS
+
+Section = dict[str, Any]
+
+
+class Named(Protocol):
+    """A section that may name files."""
+
+    def read(self, section: Section, where: str, beside: Path) -> Section:
+        """The plain section with what it names read."""
+
+    def carried(self, section: Section, folder: Path) -> Section:
+        """The plain section with copies of its files in the folder."""
+
+
+def read_named(data: Any, beside: Path) -> Any:
+    """The plain content of a file with all that its sections name read (see `BaseReference.read`). Raises ConfigError."""
+    return _each_section(data, lambda named, section, where: named.read(section, where, beside))
+
+
+def carried(data: Any, folder: Path) -> Any:
+    """The plain content for a file in this folder, with copies there of the files that its sections name."""
+    return _each_section(data, lambda named, section, _: named.carried(section, folder))
+
+
+def _each_section(data: Any, change: Callable[[Named, Section, str], Section], where: str = "") -> Any:
+    if isinstance(data, list | tuple):
+        return [_each_section(item, change, f"{where}[{index}]") for index, item in enumerate(data)]
+    if not isinstance(data, dict):
+        return data
+    inside = {key: _each_section(item, change, f"{where}.{key}".lstrip(".")) for key, item in data.items()}
+    kind = inside.get("kind")
+    if isinstance(kind, str) and kind in KINDS:
+        return change(KINDS[kind], inside, where)
+    return change(LawSection, inside, where) if where.rpartition(".")[2] == "law" else inside
