@@ -13,7 +13,8 @@ from msgspec.structs import replace
 
 from companion.config.file import ConfigError
 from companion.config.fleet import Envelope
-from companion.config.reference import KINDS, Reference, carried, commanded, read_named
+from companion.config.named_files import carried, read_named
+from companion.config.reference import KINDS, Reference, commanded
 from companion.config.reference.code import FileReference
 from companion.config.reference.samples import MOST_IN_COMMAND, MOST_SAMPLES, SamplesReference
 from companion.config.reference_check import reference_problems
