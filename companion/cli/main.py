@@ -9,6 +9,7 @@ from companion.cli.agent import AGENT
 from companion.cli.analyze import ANALYZE, EXPLAIN
 from companion.cli.fleet import FLEET
 from companion.cli.init import INIT
+from companion.cli.law import LAW
 from companion.cli.monitor import MONITOR
 from companion.cli.program import Program, completion
 from companion.cli.provision import PROVISION
@@ -31,7 +32,7 @@ PROGRAM = Program(
     description="Formation flight for quadrotors with an onboard computer.",
     commands=(
         *(AGENT, DOCTOR, LOGS, FLEET, MONITOR, REPORT, REPLAY, EXPORT),
-        *(ANALYZE, EXPLAIN, INIT, PROVISION, completion("companion", parser)),
+        *(ANALYZE, EXPLAIN, LAW, INIT, PROVISION, completion("companion", parser)),
     ),
     title="commands",
     more="`companion COMMAND --help` shows examples and exit codes.",

@@ -7,6 +7,7 @@ was checked is what runs. The code imports what is installed and no file beside 
 
 from __future__ import annotations
 
+import ast
 import os
 import stat
 import sys
@@ -23,6 +24,14 @@ from companion.types.values import cut, quoted
 
 WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 LONGEST_ERROR = 200
+DOES_MORE = {
+    *("asyncio", "builtins", "concurrent", "ctypes", "datetime", "ftplib", "http", "importlib", "io", "logging"),
+    *("mmap", "multiprocessing", "os", "pathlib", "pickle", "queue", "random", "requests", "secrets", "select"),
+    *("serial", "shutil", "signal", "smtplib", "socket", "socketserver", "ssl", "subprocess", "sys", "tempfile"),
+    *("threading", "time", "urllib", "uuid", "numpy.random", "mavsdk", "pymavlink", "zenoh"),
+    *("companion.app", "companion.ground", "companion.link"),
+}
+CALLS_MORE = {"__import__", "breakpoint", "compile", "eval", "exec", "globals", "input", "open", "print"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +49,8 @@ def load_code(path: Path, beside: Path) -> CodeFile:
     """
     file = beside.parent / path
     source = read_beside(path, beside)
+    if (found := more_than_computing(source, file)) is not None:
+        raise found
     from hashlib import sha256  # here: see `formation_hash` in fleet.py
 
     digest = sha256(source).hexdigest()
@@ -52,6 +63,31 @@ def load_code(path: Path, beside: Path) -> CodeFile:
         del sys.modules[module.__name__]
         raise code_error(file, error) from error
     return CodeFile(module.__dict__, digest)
+
+
+def more_than_computing(source: bytes, file: Path) -> ConfigError | None:
+    """The line for the first import, call or statement of this code that does more than compute, or for a syntax error."""
+    try:
+        tree = ast.parse(source, str(file))
+    except (SyntaxError, ValueError) as error:
+        return code_error(file, error)
+    for node in ast.walk(tree):
+        modules: list[str] = []
+        if isinstance(node, ast.Import):
+            modules = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            modules = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
+        refused = [
+            f"imports {name}" for name in modules if DOES_MORE & {name.split(".")[0], ".".join(name.split(".")[:2])}
+        ]
+        if isinstance(node, ast.Name) and node.id in CALLS_MORE:
+            refused = [f"uses {node.id}"]
+        elif isinstance(node, ast.Global):
+            refused = [f"changes {', '.join(node.names)} outside its function"]
+        if refused:
+            text = f"{refused[0]}; expected code that computes from its arguments alone, as it runs in the control loop"
+            return ConfigError(file, f"line {getattr(node, 'lineno', 1)}", text)
+    return None
 
 
 def read_beside(path: Path, beside: Path) -> bytes:

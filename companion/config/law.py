@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from importlib import import_module
-from math import isfinite
 from pathlib import Path
 from pkgutil import iter_modules
 from shutil import copyfile
@@ -17,11 +16,11 @@ from msgspec.structs import asdict, replace
 import companion.laws
 from companion.config.code_file import CodeFile, code_error, load_code
 from companion.config.file import ConfigError, refuse
-from companion.config.validation import INVALID, InvalidFieldError, Problem, all_finite, did_you_mean, examine
+from companion.config.validation import INVALID, InvalidFieldError, Problem, all_finite, did_you_mean, examine, needs
 from companion.config.values import Section, Text, written
 from companion.laws import Law
-from companion.laws._feedback_gains import feedback_gains
 from companion.laws._neighbour_feedback import NeighbourFeedback
+from companion.laws._trial import trial_problem
 from companion.types.values import quoted
 
 USUAL = ("cooperative", "weighted", "average_22", "average_26")  # named first
@@ -172,6 +171,8 @@ def law_class(section: LawSection) -> type[Law]:
 def law_problems(section: LawSection, where: str) -> Iterator[Problem]:
     """An unknown law, a file that gives none, parameters that it does not have or that are out of their bounds."""
     name, file, parameters = section.name, section.file, section.parameters
+    for value in parameters.values():
+        needs(value)
     if file is None and name not in BUILT_IN and name not in _installed():
         names = ", ".join(law_names())
         text = f"{quoted(name)} is no law; expected one of {names}, or file with a law of your own"
@@ -187,21 +188,16 @@ def law_problems(section: LawSection, where: str) -> Iterator[Problem]:
         return
     law, problems = examine(parameters, cls, f"{where}.parameters")
     yield from problems
-    if law is not INVALID and not problems and all_finite(parameters):
-        yield from _gain_problems(law, file or name, f"{where}.{'name' if file is None else 'file'}")
+    if law is not INVALID and not problems and all_finite(parameters) and (text := _trial_problem(law, file or name)):
+        yield Problem(f"{where}.{'name' if file is None else 'file'}", text)
 
 
-def _gain_problems(law: Law, source: str, where: str) -> Iterator[Problem]:
-    """The separation filter and the paths into formation need a law that pulls back to its neighbour."""
+def _trial_problem(law: Law, source: str) -> str:
     try:
-        gains = feedback_gains(law)
+        found = trial_problem(law)
+        return f"{source}: {found}" if found else ""
     except Exception as error:  # noqa: BLE001 -- the code of a user
-        yield Problem(where, str(code_error(Path(source), error)))
-        return
-    for name, gain in (("position", gains.position_1_s2), ("velocity", gains.velocity_1_s)):
-        if not (isfinite(gain) and 0.0 < gain <= 100.0):
-            text = f"its {name} gain about one neighbour is {gain:g}; expected above 0, up to 100: it must pull back"
-            yield Problem(where, text)
+        return str(code_error(Path(source), error))
 
 
 def _law_in(namespace: dict[str, Any], source: str) -> type[Law]:

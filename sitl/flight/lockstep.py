@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
+from companion.core.consensus.law import LawError
+from companion.core.safety.safeguard import FailureResponse
 from companion.ground.answers import TimedReply
 from companion.link.tick import Ticking
 from companion.mavlink.autopilot_types import DIALECTS
@@ -24,6 +26,7 @@ from companion.recording.records import TimingRecord
 from companion.recording.writing import WritingAtOnce
 from companion.types.autopilot import AutopilotMode, Telemetry
 from companion.types.commands import Command, CommandName, CommandReply, Content
+from companion.types.notices import Code, Notice
 from companion.types.peers import ReceivedPeerPacket, ReceivedTarget, TargetSample
 from companion.types.status import Status
 from companion.types.tick import Inbox, Outbox
@@ -33,7 +36,7 @@ from companion.wire.rounding import round_outbox
 from sitl.autopilots.autopilot import DT_S, FlightMode
 from sitl.autopilots.types import AUTOPILOT_TYPES
 from sitl.flight.files import autopilot_file, ids_of, reached_stand_in, vehicle_file
-from sitl.flight.scenario import Scenario
+from sitl.flight.scenario import AgentEnd, Scenario
 from sitl.links.direct_link import DirectLink
 from sitl.links.network import Network
 from sitl.report.metrics import Track
@@ -313,6 +316,8 @@ class VirtualAgent:
 
     def _prepare(self) -> None:
         now_s = self._timer.now_s
+        if self._failed:
+            return
         packets, commands = self.network.receive(self.vehicle_id, now_s), self._commands
         targets = tuple([ReceivedTarget(now_s, name, target) for name, target in self._targets])
         self._prepared = Inbox(peers=packets, commands=commands, targets=targets, prepared_s=now_s, early=len(packets))
@@ -321,6 +326,9 @@ class VirtualAgent:
 
     def _tick(self) -> None:
         now_s = self._timer.now_s
+        if self._failed:
+            self._hand_over(now_s)
+            return
         late: tuple[ReceivedPeerPacket, ...] = ()
         if self._prepared is None:
             self._prepare()
@@ -330,13 +338,40 @@ class VirtualAgent:
         assert seen is not None
         telemetry, self._kept = self._kept + self.link.drain(now_s), ()
         inbox = replace(seen, telemetry=telemetry, peers=seen.peers + late)
-        decision = self.agent.decide(now_s, inbox)
+        self._response.receive(telemetry)
+        try:
+            decision = self.agent.decide(now_s, inbox)
+        except LawError as error:
+            self._fail(now_s, error)
+            return
         outbox = self.agent.report(decision)
+        self._response.sent(decision.flight, outbox.attitude_target, decision.setpoint.hover_thrust_norm)
+        self._response.publishes(outbox.peer_packet)
         self._send(now_s, outbox)
         if self._recorder:
             sent = round_outbox(outbox)
             report = StatusReport(sent.status, NOT_TIMED) if sent.status else None
             self._recorder.tick(now_s, inbox, decision, sent, report, TimingRecord(now_s, 0, 0, 0, None))
+
+    def _fail(self, now_s: float, error: LawError) -> None:
+        """The process hands over, and ends. Defects of the agent itself end the flight with a traceback."""
+        self._failed, notice = True, Notice(Code.AGENT_FAILED, str(error))
+        if self.status:
+            self.status = replace(self.status, last_event=notice)
+            self._reports.append(StatusReport(self.status, NOT_TIMED))
+        self._hand_over(now_s)
+
+    def _hand_over(self, now_s: float) -> None:
+        self._response.receive(self.link.drain(now_s))
+        response = self._response.step(now_s)
+        if response.target:
+            self.link.command(response.target, now_s)
+        for request in response.requests:
+            self.link.request(request, now_s)
+        if response.ended:
+            self._ends = [AgentEnd(vehicle=self.vehicle_id, at_s=now_s)]
+        elif packet := self._response.packet(now_s):
+            self.network.send(packet, now_s)
 
     def _lose_input(self, now_s: float) -> None:
         """Nothing waits for the next process."""
@@ -368,6 +403,7 @@ class VirtualAgent:
         config = _config(self._scenario, self.vehicle_id)
         self.agent: Agent = build_agent(config, self._starts)
         self._ticking, self._prepared = Ticking(self._timer, self._tick, self._prepare), None
+        self._response, self._failed = FailureResponse(), False
         self._recorder = (
             recorder_of(config, self._starts, self._recordings, 0.0, 0.0, WritingAtOnce()) if self._recordings else None
         )

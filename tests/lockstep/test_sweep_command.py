@@ -93,7 +93,7 @@ def test_the_folder_and_the_output(tmp_path: Path) -> None:
     assert len(rows_of(tmp_path)) == 12
     content: dict[str, Any] = msgspec.json.decode((tmp_path / "sweep.json").read_bytes())
     assert (content["schema"], content["scenario"], content["complete"]) == (1, "platoon", True)
-    assert content["vary"] == {"fleet.law.name": ["weighted", "cooperative"], "fleet.law.exponent": [0, 2]}
+    assert content["vary"] == {"fleet.law.name": ["weighted", "cooperative"], "fleet.law.parameters.exponent": [0, 2]}
     assert [one["flights"] for one in content["combinations"]] == [3] * 4
 
 

@@ -7,20 +7,21 @@ x_i - x_j - d_ij = (x_i - d_i0) - (x_j - d_j0).
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from math import isfinite
+from math import inf, isfinite
 
 from companion.laws import FormationState, Law, Memory, Neighbour, Own, Values
+from companion.laws._trial import MOST_M_S2
 from companion.types.autopilot import VehicleState
 from companion.types.errors import CompanionError
 from companion.types.formation import FlownSlot, Gains
-from companion.types.values import ZERO3, Vector3
+from companion.types.values import MAX_COORDINATE_M, ZERO3, Vector3
 
 STEP_S = 0.02  # of the first position in formation
 SHORTEST_STEP_S, LONGEST_STEP_S = 0.001, 0.5
 
 
 class LawError(CompanionError):
-    """The law gave something that cannot be flown. The agent ends by a hand-over, as after any other defect."""
+    """The law raised an exception, or gave something that cannot be flown. The agent ends by a hand-over, as by a defect."""
 
 
 class FlownLaw:
@@ -43,12 +44,16 @@ class FlownLaw:
     ) -> Vector3:
         """u_i at a new position in formation, m/s^2 in ENU, relative to the slot's own motion. Raises LawError."""
         own = self._own(vehicle, slot, commanded_enu_m_s2)
-        x, y, z = self.law.acceleration(own, neighbours, reference)
-        if not isfinite(x + y + z):
-            raise LawError(f"the law gives an acceleration of {(x, y, z)} m/s^2; expected finite numbers")
+        try:
+            x, y, z = self.law.acceleration(own, neighbours, reference)
+            memory = self.law.remember(own, neighbours, reference) if self._nothing else ()
+        except Exception as error:  # the law may be the code of a user
+            raise LawError(f"the law raises {type(error).__name__}: {error}") from error
+        if not (-MOST_M_S2 < x < MOST_M_S2 and -MOST_M_S2 < y < MOST_M_S2 and -MOST_M_S2 < z < MOST_M_S2):  # or NaN
+            raise LawError(f"the law gives an acceleration of {(x, y, z)} m/s^2; expected numbers up to {MOST_M_S2:g}")
         self._asked_s = vehicle.position_time_s
         if self._nothing:
-            self._memory = self._checked(self.law.remember(own, neighbours, reference), self.law.memory, "remembers")
+            self._memory = _checked(memory, self.law.memory, inf, "remembers")
         return (x, y, z)
 
     def values(
@@ -63,7 +68,11 @@ class FlownLaw:
         if not self.law.publishes:
             return ()
         own = self._own(vehicle, slot, commanded_enu_m_s2)
-        return self._checked(self.law.publish(own, neighbours, reference), self.law.publishes, "publishes")
+        try:
+            values = self.law.publish(own, neighbours, reference)
+        except Exception as error:  # as above
+            raise LawError(f"the law raises {type(error).__name__}: {error}") from error
+        return _checked(values, self.law.publishes, MAX_COORDINATE_M, "publishes")
 
     def end(self) -> None:
         """Outside formation: forget."""
@@ -83,13 +92,6 @@ class FlownLaw:
             min(max(step_s, SHORTEST_STEP_S), LONGEST_STEP_S),
             self._memory,
         )
-
-    @staticmethod
-    def _checked(vectors: Memory, count: int, verb: str) -> Memory:
-        """Raises LawError where these are not as many finite vectors."""
-        if len(vectors) != count or not all(len(v) == 3 and isfinite(v[0] + v[1] + v[2]) for v in vectors):
-            raise LawError(f"the law {verb} {vectors!r:.80}; expected {count} vectors of three finite numbers")
-        return vectors
 
 
 def formation_state(
@@ -125,3 +127,15 @@ def next_prc(is_leader: bool, neighbour_prcs: Iterable[int], n: int) -> int:
         if prc < least:
             least = prc
     return least + 1
+
+
+def _checked(vectors: Memory, count: int, most: float, verb: str) -> Memory:
+    """Raises LawError where these are not as many vectors of finite numbers up to `most`, beyond which peers refuse them."""
+    try:
+        if len(vectors) == count and all(
+            isfinite(x + y + z) and -most <= min(x, y, z) <= max(x, y, z) <= most for x, y, z in vectors
+        ):
+            return vectors
+    except (TypeError, ValueError):  # other types
+        pass
+    raise LawError(f"the law {verb} {vectors!r:.80}; expected {count} vectors of three finite numbers up to {most:g}")

@@ -44,7 +44,7 @@ def loaded(beside: Path, text: str) -> CodeFile:
 
 
 def test_it_runs_once_and_is_known_by_its_content(beside: Path) -> None:
-    text = "from math import tau\nruns = globals().get('runs', 0) + 1\n"
+    text = "from math import tau\nruns = 1\n"
     code = loaded(beside, text)
     assert (code.namespace["runs"], code.namespace["tau"]) == (1, pytest.approx(6.2832, abs=1e-4))
     assert code.sha256 == hashlib.sha256(text.encode()).hexdigest()
@@ -141,3 +141,25 @@ def test_code_that_does_not_run_is_named_with_its_line(beside: Path, text: str, 
     line = refusal(path, beside)
     assert line.startswith(f"{path}: ") and words in line
     assert not {name for name in set(sys.modules) - before if name.startswith("companion_code_")}
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("import socket", "line 1: imports socket"),
+        ("import math\nfrom os import path", "line 2: imports os"),
+        ("import urllib.request", "line 1: imports urllib.request"),
+        ("from numpy import random", "line 1: imports numpy.random"),
+        ("from companion.link import tick", "line 1: imports companion.link"),
+        ("def f():\n    print('x')", "line 2: uses print"),
+        ("x = 1\ndef f():\n    global x\n    x = 2", "line 3: changes x outside its function"),
+    ],
+)
+def test_code_that_does_more_than_compute_is_refused_before_it_runs(beside: Path, text: str, found: str) -> None:
+    written(beside, f"{text}\nraise SystemError\n")
+    line = refusal(Path("code.py"), beside)
+    assert f"code.py: {found}; expected code that computes from its arguments alone" in line
+
+
+def test_code_that_computes_may_import_what_it_likes(beside: Path) -> None:
+    loaded(beside, "import math, functools, numpy\nfrom companion.types.values import ZERO3\n")
