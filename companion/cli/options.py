@@ -86,3 +86,13 @@ def add_identity(parser: argparse.ArgumentParser) -> None:
 def add_json(parser: argparse.ArgumentParser, what: str) -> None:
     """--json; its help says `what` is printed."""
     parser.add_argument("--json", action="store_true", help=what)
+
+
+def law_argument(text: str) -> str:
+    """An argparse type: the name of a law, or the path of a Python file with one."""
+    from companion.config.law import PYTHON, law_names
+
+    if text.endswith(PYTHON) or text in law_names():
+        return text
+    names = ", ".join(law_names())
+    raise argparse.ArgumentTypeError(f"{text!r}, expected one of {names}, or the path of a Python file with a law")

@@ -6,11 +6,9 @@ import argparse
 from pathlib import Path
 
 from companion import GROUND_INSTALL
-from companion.cli.options import add_json, add_overrides, vehicle_id
+from companion.cli.options import add_json, add_overrides, law_argument, vehicle_id
 from companion.cli.program import command
 from companion.types.errors import EXIT_DONE, UnusableError
-
-LAWS = ("cooperative", "weighted", "average_22", "average_26")
 
 
 def _add_report(parser: argparse.ArgumentParser) -> None:
@@ -65,7 +63,17 @@ def _run_report(options: argparse.Namespace) -> int:
 def _add_replay(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="the folder with the recordings of a flight")
     parser.add_argument("--vehicle", type=vehicle_id, metavar="N", help="only this vehicle (default: all)")
-    parser.add_argument("--law", choices=LAWS, help="compare with this law (short for --set fleet.law.name=LAW)")
+    parser.add_argument(
+        "--code",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="the Python file of a recorded law or reference, with the same content; may be given many times",
+    )
+    parser.add_argument(
+        "--law", type=law_argument, metavar="LAW", help="compare with this law: its name, or a Python file"
+    )
     add_overrides(parser, "compare with another value of one key of the fleet or vehicle file")
     parser.add_argument(
         "--csv", type=Path, metavar="FILE", help="with --law or --set: the commands of every tick, recorded and other"
@@ -82,8 +90,11 @@ def _run_replay(options: argparse.Namespace) -> int:
     examples:
       companion replay flights/2026-05-03
       companion replay flights/2026-05-03 --vehicle 2 --json | jq '.vehicles[0].difference'
+      companion replay flights/2026-05-03 --code my_law.py
       companion replay flights/2026-05-03 --law average_22
       companion replay flights/2026-05-03 --set fleet.law.parameters.position_gain_1_s2=0.8 --csv commands.csv
+
+    A recording has no code. Where a law or a reference is a Python file, --code names it.
 
     FOLDER is searched for files *.mcap, also in folders inside; a single file is possible. The replay
     of a vehicle begins with the start of its agent: without the first part of a recording it is
@@ -101,8 +112,11 @@ def _run_replay(options: argparse.Namespace) -> int:
       130  ended by Ctrl-C
     """
 
+    from companion.config.code_file import load_code
     from companion.replay.command import ReplayOptions, run_replay
 
+    for file in options.code:
+        load_code(file.absolute(), beside=file.absolute())
     overrides = [*([f"fleet.law.name={options.law}"] if options.law else []), *options.overrides]
     if options.csv and not overrides:
         raise UnusableError("companion replay: --csv: needs --law or --set; without them the commands are equal")
@@ -124,6 +138,8 @@ def _run_export(options: argparse.Namespace) -> int:
     examples:
       companion export flights/2026-05-03
       companion export flights/2026-05-03 --out tables
+
+    A recording has no code. Where a law or a reference is a Python file, --code names it.
 
     FOLDER is searched for files *.mcap, also in folders inside; a single file is possible. Columns are
     named after the fields of the recording, with units: position_east_m, late_us. Neighbours with

@@ -42,6 +42,9 @@ class CodeFile:
     sha256: str
 
 
+_loaded: dict[str, CodeFile] = {}  # by SHA-256: what has passed the checks of a file of this machine
+
+
 def load_code(path: Path, beside: Path) -> CodeFile:
     """Run a Python file once. `beside` is the configuration file that names it; a relative path starts there.
 
@@ -49,11 +52,13 @@ def load_code(path: Path, beside: Path) -> CodeFile:
     """
     file = beside.parent / path
     source = read_beside(path, beside)
-    if (found := more_than_computing(source, file)) is not None:
-        raise found
     from hashlib import sha256  # here: see `formation_hash` in fleet.py
 
     digest = sha256(source).hexdigest()
+    if digest in _loaded:
+        return _loaded[digest]
+    if (found := more_than_computing(source, file)) is not None:
+        raise found
     module = ModuleType(f"companion_code_{digest}")
     module.__file__ = str(file)
     sys.modules[module.__name__] = module  # where dataclasses and pickle look for what it defines
@@ -62,7 +67,46 @@ def load_code(path: Path, beside: Path) -> CodeFile:
     except (Exception, SystemExit) as error:
         del sys.modules[module.__name__]
         raise code_error(file, error) from error
-    return CodeFile(module.__dict__, digest)
+    return _loaded.setdefault(digest, CodeFile(module.__dict__, digest))
+
+
+def loaded_code(file: str, sha256: str | None) -> CodeFile:
+    """The code with this content, which has been loaded. Raises ConfigError: a recording or a command brings no code."""
+    code = _loaded.get(sha256 or "")
+    if code is None:
+        wanted = f" with the SHA-256 {sha256}" if sha256 else ""
+        expected = "expected the file of a fleet file, a vehicle file or a scenario beside it, or of --code"
+        raise ConfigError(file, "", f"is code{wanted} that has not been read; {expected}")
+    return code
+
+
+def is_loaded(sha256: object) -> bool:
+    """Whether the code with this content has been loaded."""
+    return sha256 in _loaded
+
+
+def read_section(section: dict[str, Any], where: str, beside: Path) -> dict[str, Any]:
+    """A plain section with the whole path and the SHA-256 of the `file` that it names, which is loaded. Raises ConfigError."""
+    name, wanted = section.get("file"), section.get("sha256")
+    if not isinstance(name, str) or (Path(name).is_absolute() and is_loaded(wanted)):  # or read already
+        return section
+    code = load_code(Path(name), beside)
+    if wanted not in (None, code.sha256):
+        raise ConfigError(beside, f"{where}.sha256", f"{name} has {code.sha256}, which is another one")
+    return section | {"file": str((beside.parent / name).resolve()), "sha256": code.sha256}
+
+
+def carried_section(section: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """A plain section with a copy of its file in the folder; others may write neither, whatever the umask."""
+    if section.get("file") is None:
+        return section
+    source = Path(section["file"])
+    copy = folder / source.name
+    if source.parent.resolve() != folder.resolve():
+        copy.write_bytes(source.read_bytes())
+        for path in (copy, folder):
+            path.chmod(path.stat().st_mode & ~WRITABLE_BY_OTHERS)
+    return section | {"file": source.name}
 
 
 def more_than_computing(source: bytes, file: Path) -> ConfigError | None:

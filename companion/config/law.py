@@ -7,14 +7,13 @@ from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
-from shutil import copyfile
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta, ValidationError, convert, field
 from msgspec.structs import asdict, replace
 
 import companion.laws
-from companion.config.code_file import CodeFile, code_error, load_code
+from companion.config.code_file import carried_section, code_error, is_loaded, loaded_code, read_section
 from companion.config.file import ConfigError, refuse
 from companion.config.validation import INVALID, InvalidFieldError, Problem, all_finite, did_you_mean, examine, needs
 from companion.config.values import Section, Text, written
@@ -74,25 +73,12 @@ class LawSection(Section, frozen=True):
     @classmethod
     def read(cls, section: dict[str, Any], where: str, beside: Path) -> dict[str, Any]:
         """The plain section with the whole path and the SHA-256 of its file, which is loaded. Raises ConfigError."""
-        name, wanted = section.get("file"), section.get("sha256")
-        if not isinstance(name, str) or (name, wanted) in _loaded:
-            return section
-        code = load_code(Path(name), beside)
-        if wanted not in (None, code.sha256):
-            raise ConfigError(beside, f"{where}.sha256", f"{name} has {code.sha256}, which is another one")
-        path = str((beside.parent / name).resolve())
-        _loaded[path, code.sha256] = code
-        return section | {"file": path, "sha256": code.sha256}
+        return read_section(section, where, beside)
 
     @classmethod
     def carried(cls, section: dict[str, Any], folder: Path) -> dict[str, Any]:
         """The plain section with a copy of its file in the folder."""
-        if section.get("file") is None:
-            return section
-        source = Path(section["file"])
-        if source.parent.resolve() != folder.resolve():
-            copyfile(source, folder / source.name)
-        return section | {"file": source.name}
+        return carried_section(section, folder)
 
     def __hash__(self) -> int:
         return hash((self.name, self.sha256, *self.parameters.items()))
@@ -127,8 +113,26 @@ def law_in_file(path: str) -> dict[str, Any]:
     return LawSection.read({"name": file.stem, "file": file.name}, "law", beside=file)
 
 
+def overridden(law: dict[str, Any]) -> dict[str, Any]:
+    """A plain section whose name was set alone, with what belongs to that law. Raises ConfigError.
+
+    A name that ends with .py is the path of a file, in whatever folder.
+    """
+    name = law.get("name")
+    if isinstance(name, str) and name.endswith(PYTHON):
+        return law | law_in_file(name)
+    if law.get("file") is not None and name in law_names():
+        return {key: value for key, value in law.items() if key not in ("file", "sha256", "parameters")}
+    return law
+
+
 def law_of(section: LawSection) -> Law:
-    """The law with the parameters of the section. Raises InvalidFieldError for one that `law_problems` refuses."""
+    """The law with the parameters of the section.
+
+    Raises InvalidFieldError for one that `law_problems` refuses, ConfigError for a file that has not been read.
+    """
+    if section.file is not None:
+        loaded_code(section.file, section.sha256)
     try:
         return convert(section.parameters, law_class(section))
     except (ValidationError, KeyError, ConfigError) as error:  # what `law_problems` tells
@@ -157,10 +161,7 @@ def law_class(section: LawSection) -> type[Law]:
     """The class of a law. Raises ConfigError for a file that gives none, KeyError for an unknown name."""
     name, file = section.name, section.file
     if file is not None:
-        code = _loaded.get((file, section.sha256))
-        if code is None:
-            raise ConfigError(file, "", "is code, which runs only where a fleet file or a scenario beside it names it")
-        return _law_in(dict(code.namespace), file)
+        return _law_in(dict(loaded_code(file, section.sha256).namespace), file)
     if name in BUILT_IN:
         module = import_module(f"companion.laws.{name}")
         return _law_in(vars(module), str(module.__file__))
@@ -169,7 +170,10 @@ def law_class(section: LawSection) -> type[Law]:
 
 
 def law_problems(section: LawSection, where: str) -> Iterator[Problem]:
-    """An unknown law, a file that gives none, parameters that it does not have or that are out of their bounds."""
+    """An unknown law, a file that gives none, parameters that it does not have or that are out of their bounds.
+
+    Nothing can be said of a file that has not been read, as in a recording.
+    """
     name, file, parameters = section.name, section.file, section.parameters
     for value in parameters.values():
         needs(value)
@@ -180,6 +184,8 @@ def law_problems(section: LawSection, where: str) -> Iterator[Problem]:
         return
     if file is not None and name in BUILT_IN:
         yield Problem(f"{where}.name", f"{quoted(name)} is a built-in law; expected another name for the law of a file")
+        return
+    if file is not None and not is_loaded(section.sha256):
         return
     try:
         cls = law_class(section)
@@ -208,9 +214,6 @@ def _law_in(namespace: dict[str, Any], source: str) -> type[Law]:
         found = ", ".join(c.__name__ for c in classes) or "none"
         raise ConfigError(source, "", f"expected one subclass of companion.laws.Law, found {found}")
     return classes[0]
-
-
-_loaded: dict[tuple[str, str | None], CodeFile] = {}  # by path and SHA-256: what a file of this machine has named
 
 
 def _restored(fields: dict[str, Any]) -> LawSection:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from companion.cli.options import add_overrides
+from companion.cli.options import add_overrides, law_argument
 from companion.cli.program import command
 from companion.config.file import ConfigError
 from companion.config.law import USUAL
@@ -16,7 +16,6 @@ from sitl.cli.options import (
     add_out_and_quiet,
     add_port_offset,
     add_scenario,
-    law_argument,
     options_of,
     overrides_of,
 )

@@ -67,16 +67,6 @@ def cluster_address(text: str) -> str:
     return f"{found['protocol'] or 'tcp://'}{found['host']}:{found['port']}"
 
 
-def law_argument(text: str) -> str:
-    """An argparse type: the name of a law, or the path of a Python file with one."""
-    from companion.config.law import PYTHON, law_names
-
-    if text.endswith(PYTHON) or text in law_names():
-        return text
-    names = ", ".join(law_names())
-    raise argparse.ArgumentTypeError(f"{text!r}, expected one of {names}, or the path of a Python file with a law")
-
-
 def add_port_offset(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--port-offset",

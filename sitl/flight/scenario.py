@@ -16,7 +16,7 @@ from companion.assembly import flyable_problems, trajectory_of
 from companion.config.file import SET, convert, override, read_as
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import checkable
-from companion.config.law import PYTHON, LawName, law_in_file
+from companion.config.law import LawName, overridden
 from companion.config.named_files import read_named
 from companion.config.planned_flight import (
     HeadingDeg,
@@ -276,8 +276,8 @@ def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
     if not overrides:
         return scenario
     data = override(data, overrides, "fleet.law.name=average_22 or timeline[3].for_s=20")
-    if str(law := data["fleet"].get("law", {}).get("name")).endswith(PYTHON):  # named by the user, anywhere
-        data["fleet"]["law"] |= law_in_file(law)
+    if isinstance(law := data["fleet"].get("law"), dict):
+        data["fleet"]["law"] = overridden(law)
     return scenario_from(SET, read_named(data, path))
 
 

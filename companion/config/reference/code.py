@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from companion.config.code_file import WRITABLE_BY_OTHERS, CodeFile, code_error, load_code
+from companion.config.code_file import carried_section, code_error, loaded_code, read_section
 from companion.config.file import ConfigError
 from companion.config.reference.timed import TimedReference
 from companion.config.values import Text, written
@@ -48,26 +48,12 @@ class FileReference(TimedReference, frozen=True, kw_only=True, tag_field="kind",
     @classmethod
     def read(cls, section: dict[str, Any], where: str, beside: Path) -> dict[str, Any]:
         """With the whole path and the SHA-256 of the file, which is loaded."""
-        name, wanted = section.get("file"), section.get("sha256")
-        if not isinstance(name, str):
-            return section
-        code = load_code(Path(name), beside)
-        if wanted not in (None, code.sha256):
-            raise ConfigError(beside, f"{where}.sha256", f"{name} has {code.sha256}, which is another one")
-        path = str((beside.parent / name).resolve())
-        _loaded[path, code.sha256] = code
-        return section | {"file": path, "sha256": code.sha256}
+        return read_section(section, where, beside)
 
     @classmethod
     def carried(cls, section: dict[str, Any], folder: Path) -> dict[str, Any]:
         """With a copy of the file in the folder; others may write neither, whatever the umask."""
-        source = Path(section["file"])
-        copy = folder / source.name
-        if source.parent.resolve() != folder.resolve():
-            copy.write_bytes(source.read_bytes())
-            for path in (copy, folder):
-                path.chmod(path.stat().st_mode & ~WRITABLE_BY_OTHERS)
-        return section | {"file": source.name}
+        return carried_section(section, folder)
 
     def contradictions(self) -> Iterator[tuple[str, str]]:
         if self.ramp_s > self.lasts_s:
@@ -86,9 +72,6 @@ class FileReference(TimedReference, frozen=True, kw_only=True, tag_field="kind",
         return _restored, (self.file, self.sha256, self.lasts_s, self.ramp_s, self.pace)
 
 
-_loaded: dict[tuple[str, str | None], CodeFile] = {}  # by path and SHA-256: what a file of this machine has named
-
-
 def _restored(file: str, sha256: str | None, lasts_s: float, ramp_s: float, pace: float) -> FileReference:
     plain = {"file": file, "sha256": sha256, "lasts_s": lasts_s, "ramp_s": ramp_s, "pace": pace}
     return FileReference(**FileReference.read(plain, NAME, beside=Path(file)))
@@ -97,10 +80,7 @@ def _restored(file: str, sha256: str | None, lasts_s: float, ramp_s: float, pace
 @lru_cache(maxsize=4)
 def _tabulated(file: str, sha256: str | None, lasts_s: float) -> tuple[Curve, Sequence[float]]:
     """The motion at all times, and these. Raises ConfigError."""
-    code = _loaded.get((file, sha256))
-    if code is None:
-        raise ConfigError(file, "", "is code, which runs only where a vehicle file or a scenario beside it names it")
-    function = code.namespace.get(NAME)
+    function = loaded_code(file, sha256).namespace.get(NAME)
     if not callable(function):
         raise ConfigError(file, NAME, f"missing; expected a function {NAME}(time_s)")
     count = ceil(lasts_s / STEP_S)

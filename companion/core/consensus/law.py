@@ -46,10 +46,13 @@ class FlownLaw:
         own = self._own(vehicle, slot, commanded_enu_m_s2)
         try:
             x, y, z = self.law.acceleration(own, neighbours, reference)
+            flyable = (
+                -MOST_M_S2 < x < MOST_M_S2 and -MOST_M_S2 < y < MOST_M_S2 and -MOST_M_S2 < z < MOST_M_S2
+            )  # not of NaN
             memory = self.law.remember(own, neighbours, reference) if self._nothing else ()
         except Exception as error:  # the law may be the code of a user
             raise LawError(f"the law raises {type(error).__name__}: {error}") from error
-        if not (-MOST_M_S2 < x < MOST_M_S2 and -MOST_M_S2 < y < MOST_M_S2 and -MOST_M_S2 < z < MOST_M_S2):  # or NaN
+        if not flyable:
             raise LawError(f"the law gives an acceleration of {(x, y, z)} m/s^2; expected numbers up to {MOST_M_S2:g}")
         self._asked_s = vehicle.position_time_s
         if self._nothing:

@@ -75,6 +75,7 @@ def test_numbers_that_are_not_finite_are_null_and_named() -> None:
             ["ParameterSample", 1.0, "P", None],
         ],
         "late_s": 0.0,
+        "law_s": 0.0,
     }
     assert bits(decode_inbox(data)) == bits((1.0, Inbox(samples)))
 
@@ -93,7 +94,7 @@ def test_an_acknowledgement_names_the_types_of_requests() -> None:
 
 def test_an_empty_tick_is_short() -> None:
     assert encode_outbox(1.5, Outbox()) == b'{"now_s":1.5}'
-    assert encode_inbox(1.5, Inbox()) == b'{"now_s":1.5,"late_s":0.0}'
+    assert encode_inbox(1.5, Inbox()) == b'{"now_s":1.5,"late_s":0.0,"law_s":0.0}'
 
 
 @pytest.mark.parametrize(
