@@ -27,6 +27,9 @@ from companion.config.new_formation import inline
 from companion.tools.analysis import Analysis, LawAnalysis, analyse
 from companion.tools.subject import subject_of
 from companion.types.errors import UnusableError
+from sitl.compare.command import compare as flown_comparison
+from sitl.compare.options import DEFAULT_SEEDS, CompareOptions
+from sitl.compare.statistics import CellSummary, Checked, Winner
 from sitl.flight.flights import FlightEnd, check_convergence, reference_flown, result_of
 from sitl.flight.scenario import Scenario, load_scenario, scenario_from, with_law
 from sitl.flight.shipped import scenario_file
@@ -43,10 +46,12 @@ __all__ = [
     "Analysis",
     "FlightData",
     "LawAnalysis",
+    "LawComparison",
     "ReportedEvent",
     "RunSummary",
     "Scenario",
     "analyze",
+    "compare",
     "fly",
     "fly_seeds",
     "load",
@@ -57,6 +62,7 @@ Source = str | Path | Scenario
 Overrides = Mapping[str, object]
 """Values by key, as of `--set`: {"stand_in.sensors": "default", "timeline[3].for_s": 20}."""
 NOTHING: Overrides = {}
+NOTHING_VARIED: Mapping[str, Iterable[object]] = {}
 EXAMPLE = "fleet.takeoff_height_m=3.0 or timeline[3].for_s=20"
 
 
@@ -108,6 +114,26 @@ class FlightData:
         pandas = _pandas()
         times = pandas.Index(self.time_s, name="time_s")
         return pandas.DataFrame(self.distances_m, index=times, columns=[pair_name(pair) for pair in self.pairs])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawComparison:
+    """What `sitl compare` gives. docs/statistics.md defines the figures.
+
+    flights: a mapping for each flight, with the columns of `compare.csv`
+    cells: medians with intervals of each law in each place
+    winners: the best law in each place by each figure
+    checks: figures of flights that the agents flew as well
+    """
+
+    flights: tuple[dict[str, Any], ...]
+    cells: tuple[CellSummary, ...]
+    winners: tuple[Winner, ...]
+    checks: tuple[Checked, ...]
+
+    def to_pandas(self) -> DataFrame:
+        """A row for each flight. Raises UnusableError where pandas is not installed."""
+        return _pandas().DataFrame(list(self.flights))
 
 
 def load(scenario: Source, overrides: Overrides = NOTHING, law: str | None = None) -> Scenario:
@@ -169,6 +195,43 @@ def fly_seeds(
 def analyze(scenario: Source, overrides: Overrides = NOTHING, law: str | None = None) -> Analysis:
     """What `companion analyze --json` computes of a formation: convergence, margins, distances. Raises ConfigError."""
     return analyse(subject_of(Path(_name(scenario)), to_builtins(load(scenario, overrides, law))))
+
+
+def compare(
+    laws: Iterable[str] = (),
+    *,
+    scenario: str | Path | None = None,
+    graphs: Iterable[str] = (),
+    conditions: Iterable[str] = (),
+    vehicles: Iterable[int] = (),
+    vary: Mapping[str, Iterable[object]] = NOTHING_VARIED,
+    overrides: Overrides = NOTHING,
+    seeds: int = DEFAULT_SEEDS,
+    seconds: float | None = None,
+    lockstep: int = 0,
+    processes: int | None = None,
+    quiet: bool = False,
+) -> LawComparison:
+    """Fly what `sitl compare` flies with these options, on all cores or in so many processes. Raises ConfigError.
+
+    The processes are spawned, as those of `fly_seeds`.
+    """
+    options = CompareOptions(
+        scenario=None if scenario is None else Path(scenario),
+        laws=tuple(laws),
+        graphs=tuple(graphs),
+        conditions=tuple(conditions),
+        vehicles=tuple(vehicles),
+        varied=[f"{key}={','.join(inline(_plain(value)) for value in values)}" for key, values in vary.items()],
+        overrides=[f"{key}={inline(_plain(value))}" for key, value in overrides.items()],
+        seeds=seeds,
+        seconds=seconds,
+        lockstep=lockstep,
+        processes=processes,
+        quiet=quiet,
+    )
+    flights, result = flown_comparison(options)
+    return LawComparison(tuple(flights), tuple(result.cells), tuple(result.winners), tuple(result.checks))
 
 
 class _Job(NamedTuple):

@@ -98,6 +98,10 @@ class Agents:
         self._packets.send(tick, group, sent, own)
         return self._commands.admitted(acceleration, telemetry[6], telemetry[7], group)
 
+    def commanded_m_s2(self) -> FloatArray:
+        """Sizes (B n,) of the accelerations that the last commanded targets stand for."""
+        return self._commands.accelerations_m_s2()
+
     def relation(self) -> BoolArray:
         """[b, i, j]: vehicle i uses vehicle j as a neighbour; (B, n, n), by rising ids."""
         columns, n = self._columns, self._columns.vehicles
@@ -230,6 +234,11 @@ class AttitudeCommands:
         roll, pitch, thrust = self._last[:, group]
         return np.vstack([quaternion_of_euler(roll, pitch, self._yaw_rad[group]), thrust])
 
+    def accelerations_m_s2(self) -> FloatArray:
+        """Of the last admitted targets: the sizes (B n,) of thrust per mass and gravity together."""
+        roll, pitch, thrust = self._last
+        return commanded_m_s2(roll, pitch, thrust / self.hover_norm)
+
     def _within_limits(self, targets: FloatArray, group: slice) -> FloatArray:
         limited = np.empty_like(targets)
         most = self._max_tilt_rad[group]
@@ -237,3 +246,10 @@ class AttitudeCommands:
         np.multiply(targets[:2], most / tilt, out=limited[:2])
         np.clip(targets[2], self._least_norm[group], self._most_norm[group], out=limited[2])
         return limited
+
+
+def commanded_m_s2(roll_rad: FloatArray, pitch_rad: FloatArray, thrust_ratio: FloatArray) -> FloatArray:
+    """The size of the acceleration that an attitude and a thrust, relative to that of hovering, stand for."""
+    upright = np.cos(roll_rad) * np.cos(pitch_rad)
+    square = thrust_ratio * (thrust_ratio - 2.0 * upright) + 1.0
+    return np.asarray(GRAVITY_M_S2 * np.sqrt(np.maximum(square, 0.0)))

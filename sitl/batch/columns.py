@@ -85,7 +85,7 @@ NOT_MODELLED = dict.fromkeys(
         "stand_in.rally_points",
     ),
     "sitl run or sitl fly",
-) | dict.fromkeys(("agent_ends", "links.partitions", "links.late_telemetry"), "sitl run")
+) | dict.fromkeys(("agent_ends", "links.partitions", "links.late_telemetry", "links.false_positions"), "sitl run")
 
 
 def _check(scenarios: Sequence[Scenario]) -> None:

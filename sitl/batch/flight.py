@@ -48,7 +48,8 @@ class BatchFlight:
 
     `times_s` (ticks,) starts at 0 with the law; `positions_enu_m` (ticks, B, n, 3) is float32; `slots_enu_m` is (B, n, 3).
     `reference_enu_m` is r, (ticks, 3) where all formations have the same and (ticks, B, 3) otherwise. `neighbours`
-    (ticks, B, n, n) is whether i uses j as a neighbour, None unless requested.
+    (ticks, B, n, n) is whether i uses j as a neighbour, None unless requested. `commanded_m_s2` (ticks, B, n) is the size of
+    the acceleration that the last attitude and thrust command, float32.
     """
 
     times_s: FloatArray
@@ -56,6 +57,7 @@ class BatchFlight:
     slots_enu_m: FloatArray
     reference_enu_m: FloatArray
     neighbours: BoolArray | None
+    commanded_m_s2: NDArray[np.float32]
 
     def reference_of_formations_enu_m(self) -> FloatArray:
         """r as (ticks, B or 1, 3)."""
@@ -95,6 +97,7 @@ def fly_batch(
     samples = round(duration_s / DT_S) // stride + 1
     n = columns.vehicles
     positions = np.empty((samples, columns.formations, n, 3), dtype=np.float32)
+    commanded = np.empty((samples, columns.formations, n), dtype=np.float32)
     neighbours = np.zeros((samples, columns.formations, n, n), dtype=np.bool_) if keep_neighbours else None
     reported_s = 0.0
     for sample in range(samples):
@@ -102,6 +105,7 @@ def fly_batch(
             for _ in range(stride):
                 simulation.step()
         positions[sample] = simulation.positions_enu_m()
+        commanded[sample] = simulation.commanded_m_s2()
         if neighbours is not None:
             neighbours[sample] = simulation.neighbours()
         if progress and simulation.time_s >= reported_s + PROGRESS_EVERY_S:
@@ -114,6 +118,7 @@ def fly_batch(
         slots_enu_m=simulation.slots_enu_m,
         reference_enu_m=simulation.references.positions_enu_m(begin.reference_s + times_s),
         neighbours=neighbours,
+        commanded_m_s2=commanded,
     )
 
 
@@ -171,6 +176,10 @@ class Simulation:
     def positions_enu_m(self) -> FloatArray:
         """True positions (B, n, 3)."""
         return self._columns.by_vehicle(self._autopilots.positions_enu_m)
+
+    def commanded_m_s2(self) -> FloatArray:
+        """Sizes of the commanded accelerations (B, n)."""
+        return self._columns.by_vehicle(self._agents.commanded_m_s2()[None])[:, :, 0]
 
     def neighbours(self) -> BoolArray:
         """Whether i uses j as a neighbour, [b, i, j] of (B, n, n)."""

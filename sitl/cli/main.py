@@ -27,13 +27,13 @@ def _program() -> Program:
     """The program with its commands."""
     from sitl.cli.flights import FLEET, FLY, RUN
     from sitl.cli.stand_ins import AUTOPILOT, NEW, SCENARIOS
-    from sitl.cli.studies import GAUNTLET, PAPER, STUDY, SWEEP, SWITCHING
+    from sitl.cli.studies import COMPARE, GAUNTLET, PAPER, REPLACED
 
     return Program(
         name="sitl",
         description="Stand-in vehicles, and whole fleets of real processes.",
         commands=(
-            *(SCENARIOS, NEW, AUTOPILOT, FLY, FLEET, RUN, PAPER, SWEEP, STUDY, SWITCHING, GAUNTLET),
+            *(SCENARIOS, NEW, AUTOPILOT, FLY, FLEET, RUN, PAPER, COMPARE, GAUNTLET, *REPLACED),
             completion("sitl", parser),
         ),
         ending=exit_code_of,

@@ -1,4 +1,4 @@
-"""Many flights with one result: `sitl paper`, `sweep`, `study`, `switching` and `gauntlet`."""
+"""Many flights with one result: `sitl paper`, `compare` and `gauntlet`."""
 
 from __future__ import annotations
 
@@ -6,13 +6,23 @@ import argparse
 from pathlib import Path
 
 from companion.cli.options import add_overrides, number, whole_number
-from companion.cli.program import command
-from sitl.cli.options import ABOVE_0, add_cluster, add_out_and_quiet, add_scenario, options_of
-from sitl.sweep.options import DEFAULT_SEEDS, LONGEST_S, MAX_FLIGHTS, SHORTEST_S, SweepOptions
+from companion.cli.program import CliCommand, command, fail
+from companion.types.errors import EXIT_DONE, EXIT_UNUSABLE
+from sitl.cli.options import add_cluster, add_out_and_quiet, options_of
+from sitl.compare.options import (
+    DEFAULT_CONDITIONS,
+    DEFAULT_GRAPHS,
+    DEFAULT_LAWS,
+    DEFAULT_S,
+    DEFAULT_SEEDS,
+    LONGEST_S,
+    MAX_FLIGHTS,
+    MOST_VEHICLES,
+    SHORTEST_S,
+    CompareOptions,
+)
 
-PLOTS, ALL = ("matplotlib", "rich"), ("matplotlib", "rich", "scipy")
 MOST_FLIGHTS, MOST_SEED, MOST_JOBS = 100_000, 999_999_999, 256
-MOST_STARTS, MOST_VEHICLES, MOST_NUMBER = 100_000, 50, 600.0
 
 
 def _add_paper(parser: argparse.ArgumentParser) -> None:
@@ -46,8 +56,34 @@ def _run_paper(options: argparse.Namespace) -> int:
     return run_paper(options)
 
 
-def _add_sweep(parser: argparse.ArgumentParser) -> None:
-    add_scenario(parser)
+def _add_compare(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "scenario",
+        type=Path,
+        nargs="?",
+        metavar="SCENARIO",
+        help="a scenario file or the name of a shipped one: its fleet is the only graph (default: graphs of --graphs)",
+    )
+    for name, of, default in (
+        ("laws", "names, Python files with a law, or NAME:KEY=VALUE for other parameters", DEFAULT_LAWS),
+        ("graphs", "names of graphs", DEFAULT_GRAPHS),
+        ("conditions", "names of conditions", DEFAULT_CONDITIONS),
+    ):
+        usual = f"{of} (default {','.join(default)}{'' if name == 'graphs' else '; of a scenario its own'})"
+        parser.add_argument(f"--{name}", type=listed, default=(), metavar="A,B", help=usual)
+    parser.add_argument(
+        "--vehicles", type=sizes, default=(), metavar="N,M", help=f"of each graph, 2 to {MOST_VEHICLES} (default 8)"
+    )
+    seeds, cells = whole_number(1, MAX_FLIGHTS), whole_number(0, MAX_FLIGHTS)
+    parser.add_argument(
+        "--seeds", type=seeds, default=DEFAULT_SEEDS, metavar="N", help=f"seeds 1 to N (default {DEFAULT_SEEDS})"
+    )
+    parser.add_argument(
+        "--seconds",
+        type=number(f"{SHORTEST_S:g} to {LONGEST_S:g} seconds", SHORTEST_S, LONGEST_S),
+        metavar="S",
+        help=f"of each flight (default {DEFAULT_S:g}; of a scenario that of its form step)",
+    )
     parser.add_argument(
         "--vary",
         action="append",
@@ -57,136 +93,83 @@ def _add_sweep(parser: argparse.ArgumentParser) -> None:
         help="fly with each of these values; may be given many times, for all combinations",
     )
     parser.add_argument(
-        "--seeds",
-        type=whole_number(1, MAX_FLIGHTS),
-        default=DEFAULT_SEEDS,
-        metavar="N",
-        help=f"fly each combination with stand_in.seed 1 to N (default {DEFAULT_SEEDS})",
+        "--lockstep", type=cells, default=0, metavar="N", help="the real agents fly N flights of the batch as well"
     )
-    parser.add_argument(
-        "--seconds",
-        type=number(f"{SHORTEST_S:g} to {LONGEST_S:g} seconds", SHORTEST_S, LONGEST_S),
-        metavar="S",
-        help=f"duration of each flight, {SHORTEST_S:g} to {LONGEST_S:g} (default: for_s of the scenario's form step)",
-    )
-    add_overrides(parser, "change one key of the scenario")
+    parser.add_argument("--list", action="store_true", help="list graphs and conditions, and fly nothing")
+    add_overrides(parser, "change one key of all scenarios")
     add_cluster(parser)
     add_out_and_quiet(parser)
 
 
-def _run_sweep(options: argparse.Namespace) -> int:
-    """Fly a scenario's formation many times, in every combination of the values that --vary lists, each with seeds 1 to N,
-    and report the spread of the figures. All formations fly side by side in arrays, on all cores: the same bodies, loops,
-    law and links as `sitl run`, hundreds to thousands of times faster than real time. The same command gives the same
-    figures each time.
+def listed(text: str) -> tuple[str, ...]:
+    """An argparse type: values with commas between them."""
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def sizes(text: str) -> tuple[int, ...]:
+    """An argparse type: numbers of vehicles."""
+    return tuple(map(whole_number(2, MOST_VEHICLES), listed(text)))
+
+
+def _run_compare(options: argparse.Namespace) -> int:
+    """Compare formation laws: every law on every graph under every condition, with the same seeds, and report settling,
+    overshoot, smallest distance, gain per hop, RMS about the RFT, control effort and bytes, and who wins where, with
+    intervals of 95 %. All formations fly side by side in arrays, on all cores: the same bodies, loops, laws, links and
+    separation filter as `sitl run`. The same command gives the same figures each time. docs/statistics.md defines them.
 
     examples:
-      sitl sweep platoon --vary fleet.law.name=weighted,average_22,average_26
-      sitl sweep platoon --vary fleet.law.parameters.exponent=0,1,2,8 --vary links.peer_loss=0,0.1,0.3
-      sitl sweep platoon --vary fleet.law.name=weighted,cooperative \\
-                 --vary links.peer_delay_s=0,0.05,0.1,0.2 --set stand_in.sensors=ideal --seeds 100 --seconds 40
+      sitl compare                                    three laws on four graphs of 8 under four conditions (2 minutes)
+      sitl compare --list                             the graphs and the conditions
+      sitl compare --laws cooperative,my_law.py --graphs chain,range --conditions ideal,noise --vehicles 16 --lockstep 5
+      sitl compare --laws cooperative,cooperative:feedforward=0.8 --graphs chain --vehicles 4,16,64
+      sitl compare platoon --laws weighted,cooperative --vary links.peer_delay_s=0,0.05,0.1 --seeds 100 --seconds 40
 
-    --vary and --set take any key of the scenario file, [N] for the N-th item of a list from 0. The values of --vary are
-    YAML scalars with commas between them; a list or a mapping cannot be varied, but its items can (--vary
-    "starts_enu_m.2[0]=-1.5,-2.0"), and --set takes it as a whole. All combinations are flown: 3 values of one key and 4 of
-    another with 20 seeds are 240 flights; 100000 are the most. With ideal sensors and lossless links a seed only sets when
-    within a period each vehicle ticks, so a few seeds are enough. With noisy sensors hardly any formation stays within 10
-    cm; there the final error is more informative than the settling time.
+    --vary and --set take any key of a scenario file, [N] for the N-th item of a list from 0, after law and condition. The
+    values of --vary are YAML scalars with commas between them; --set takes lists and mappings as well. With noisy sensors
+    hardly any formation stays within 10 cm: there the RMS is more informative than the settling time. A condition that a
+    batch cannot fly (leader_change, lying), an autopilot other than px4, a target or a turning formation is flown by the
+    agents one by one, which takes fifty times as long.
 
-    A flight begins in formation, at rest over `starts_enu_m` at the height of take-off, and lasts S seconds. It has no
-    take-off and no landing, no ground and no fence, no failsafe and no change of leaders: of the timeline only the time of
-    its `form` step is used, and a formation that turns with its course is refused. `sitl run` flies all of these, one
-    flight at a time; with ideal sensors the figures of both agree to a few millimetres.
+    --lockstep N lets the agents that fly real vehicles fly N of the flights again, of evenly chosen cells, and says which
+    figures differ by more than 5 %, or with random errors from those of all seeds.
 
-    the folder (default: a new one, runs/SCENARIO-sweep-DATE-TIME):
-      sweep.csv     one row per flight: the varied keys, seed, settle_s (the time from which every vehicle stays within 10 cm of
-                    its slot; empty if never), largest and smallest distance of neighbours, smallest distance of any two, and
-                    final error (RMS of the last 2 s, of the vehicle with the largest)
-      sweep.json    per combination: how many flights, the share that settled, and the median, 5 and 95 percentiles of each
-                    figure. A flight that never settled counts as later than all that did; null: the percentile is such a
-                    flight
-      sweep.png     the same as curves: over the numeric key with the most values, one curve for each other combination
+    the folder (default: a new one, runs/compare-DATE-TIME):
+      index.html        one page with everything in it
+      compare.csv       one row per flight; compare.parquet is the same, where pyarrow is installed
+      compare.json      medians with intervals, winners, checks, the command, versions, and the digests of laws in files
+      settling.pdf, by_graph.pdf, distance.pdf    the figures of the page for a paper
 
-    Ctrl-C stops and keeps the flights that are complete. Flights are flown in batches, so a short sweep may have
-    no complete flight yet; one line then says so. A second Ctrl-C stops at once and keeps nothing.
+    Ctrl-C stops and keeps the flights that are complete. Flights are flown in batches, so a short comparison may have none
+    yet; one line then says so. A second Ctrl-C stops at once and keeps nothing.
 
     exit codes:
-      0    all flown
+      0    all flown, or listed
       1    a process ended before its flights did, most likely for lack of memory
-      2    the scenario or an argument cannot be used; one line says which and what to do
+      2    a scenario, a law or an argument cannot be used; one line says which and what to do
       130  ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM)
     """
 
-    from sitl.sweep.run import run as run_sweep
+    from sitl.compare.command import names_text, run
 
-    return run_sweep(options_of(SweepOptions, vars(options)))
-
-
-def _add_study(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--full", action="store_true", help="more shapes, more seeds, longer flights (an hour and more)"
-    )
-    add_cluster(parser)
-    add_out_and_quiet(parser)
+    if options.list:
+        print(names_text())
+        return EXIT_DONE
+    return run(options_of(CompareOptions, vars(options)))
 
 
-def _run_study(options: argparse.Namespace) -> int:
-    """Beyond the paper: chains, rings, grids and random geometric graphs of 4 to 100 vehicles, the full quadrotor model,
-    every setting of the law (weights, gains, neighbours' acceleration fed forward, leader coupled or not, one by one and
-    together), with noise, delayed and lost packets; the candidates that the setting of `cooperative` is chosen from;
-    spectra of up to 10,000 vehicles; and the goals of `cooperative`, each with a verdict.
-
-    examples:
-      sitl study                            a quarter of an hour on two cores
-      sitl study --full --out /tmp/study    more shapes, more seeds and longer flights
-
-    the folder (default: a new one, runs/study-DATE-TIME): study.json (every flight, the verdicts and the spectra),
-    trade_off.png (settling against the worst inter-distance for every setting), selection.png (the candidates and the
-    chosen one), spectra.png
-
-    exit codes: 0 flown, whatever the verdicts; 1 a process ended before its flights did, most likely for lack of memory; 2 an
-    argument cannot be used; 130 ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM), without results
-    """
-
-    from sitl.study.command import run_study_command
-
-    return run_study_command(options)
+def _add_anything(parser: argparse.ArgumentParser) -> None:
+    parser.prefix_chars = "\0"  # whatever it was called with, options too
+    parser.add_argument("anything", nargs="*", help=argparse.SUPPRESS)
 
 
-def _add_switching(parser: argparse.ArgumentParser) -> None:
-    starts, vehicles = whole_number(1, MOST_STARTS), whole_number(2, MOST_VEHICLES)
-    positive = number(f"a number above 0, up to {MOST_NUMBER:g}", ABOVE_0, MOST_NUMBER)
-    parser.add_argument("--starts", type=starts, default=1000, metavar="N", help="random starts (default 1000)")
-    parser.add_argument("--vehicles", type=vehicles, default=6, metavar="N", help="in each formation (default 6)")
-    parser.add_argument("--range", type=positive, default=3.0, metavar="M", help="range of neighbours (default 3 m)")
-    parser.add_argument(
-        "--hysteresis", type=positive, default=0.3, metavar="M", help="the second of two, after 0 (default 0.3 m)"
-    )
-    parser.add_argument("--seconds", type=positive, default=30.0, metavar="S", help="of each flight (default 30)")
-    add_cluster(parser)
-    add_out_and_quiet(parser)
+def replaced(name: str, by: str) -> CliCommand:
+    """A command that is now another one, and says so."""
 
+    def run(_: argparse.Namespace) -> int:
+        return fail(f"`sitl {name}` is now `{by}`", EXIT_UNUSABLE)
 
-def _run_switching(options: argparse.Namespace) -> int:
-    """Neighbour sets that change with range: random starts from which the graph is connected and a goal leads the formation
-    away, flown under every law with the full quadrotor model, without and with hysteresis. Slots are assigned so that the
-    sum of the squared distances to them is smallest, and few paths cross. How often are edges lost, how small does
-    lambda_min become, and from which starts does every vehicle keep a path to the leader? In how many flights do vehicles
-    come too close to each other, or continue where real agents would hand over to the autopilot?
-
-    examples:
-      sitl switching                                  1,000 starts of six vehicles with a range of 3 m (some minutes)
-      sitl switching --starts 100 --vehicles 10 --range 4 --out /tmp/switching
-
-    the folder (default: a new one, runs/switching-DATE-TIME): switching.json (every flight and the summaries), switching.png
-
-    exit codes: 0 flown; 1 a process ended before its flights did, most likely for lack of memory; 2 an argument cannot be used;
-    130 ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM), without results
-    """
-
-    from sitl.switching.command import run_switching
-
-    return run_switching(options)
+    run.__doc__ = f"It is now `{by}`.\n\nexamples:"
+    return command(name, f"now `{by}`", _add_anything, run)
 
 
 def _add_gauntlet(parser: argparse.ArgumentParser) -> None:
@@ -246,30 +229,19 @@ PAPER = command(
 )
 
 
-SWEEP = command(
-    "sweep",
-    "statistics: many flights of one formation, with varied keys and seeds, side by side in arrays",
-    _add_sweep,
-    _run_sweep,
-    PLOTS,
+COMPARE = command(
+    "compare",
+    "formation laws by graphs by conditions: who wins where, with figures and intervals, on one page",
+    _add_compare,
+    _run_compare,
+    ("matplotlib", "jinja2", "rich", "scipy"),
 )
 
 
-STUDY = command(
-    "study",
-    "beyond the paper: every setting of the law on formations of 4 to 100 vehicles",
-    _add_study,
-    _run_study,
-    ALL,
-)
-
-
-SWITCHING = command(
-    "switching",
-    "neighbour sets that change with range: connectivity from a thousand random starts under each law",
-    _add_switching,
-    _run_switching,
-    ALL,
+REPLACED = (
+    replaced("sweep", "sitl compare --vary ..."),
+    replaced("study", "sitl compare"),
+    replaced("switching", "sitl compare --graphs range"),
 )
 
 
@@ -278,5 +250,5 @@ GAUNTLET = command(
     "random flights of whole fleets in virtual time: how close do vehicles come, and do they reach their slots?",
     _add_gauntlet,
     _run_gauntlet,
-    ALL,
+    ("matplotlib", "rich", "scipy"),
 )

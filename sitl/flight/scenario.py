@@ -359,6 +359,7 @@ BY_VEHICLE = (
     "stand_in.homes",
     "stand_in.rally_points",
     "links.late_telemetry",
+    "links.false_positions",
     "agent_ends",
 )
 

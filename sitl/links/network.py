@@ -6,8 +6,11 @@ from bisect import bisect_left, insort
 from collections.abc import Iterable
 from random import Random
 
+from msgspec.structs import replace
+
 from companion.core.consensus.neighbours import LOW_RATE_TICKS
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.types.values import Vector3
 from sitl.vehicle.config import Links
 
 ROUNDING_S = 1e-9  # what arrives at the time of a receipt is received by the next one
@@ -59,6 +62,7 @@ class Network:
         self.distant: dict[int, frozenset[int]] = {i: frozenset() for i in ids}  # of each receiver
         self._next_distant: list[tuple[float, int, frozenset[int]]] = []  # from when on, receiver, its distant peers
         self._subscribed_after_s = SUBSCRIBED_AFTER_S + links.peer_delay_s + links.peer_jitter_s
+        self._false_positions = links.false_positions
         self._sent = 0
 
     def send(self, packet: PeerPacket, now_s: float) -> None:
@@ -68,6 +72,9 @@ class Network:
             self.distant[receiver] = distant_ids
         self._sent += 1
         sender_id = packet.sender.vehicle_id
+        for false in self._false_positions:
+            if false.vehicle == sender_id and false.from_s <= now_s < false.until_s:
+                packet = _shifted(packet, false.shift_enu_m)
         at_low_rate = (packet.sender.sequence + sender_id) % LOW_RATE_TICKS == 0
         for path in self.paths[sender_id]:
             if not at_low_rate and sender_id in self.distant[path.receiver]:
@@ -86,3 +93,10 @@ class Network:
         packets = tuple([ReceivedPeerPacket(now_s, packet) for _, _, packet in waiting[:arrived]])
         del waiting[:arrived]
         return packets
+
+
+def _shifted(packet: PeerPacket, shift_enu_m: Vector3) -> PeerPacket:
+    """The packet with another position."""
+    x, y, z = packet.motion.position_enu_m
+    dx, dy, dz = shift_enu_m
+    return replace(packet, motion=replace(packet.motion, position_enu_m=(x + dx, y + dy, z + dz)))

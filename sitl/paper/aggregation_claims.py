@@ -19,6 +19,7 @@ from sitl.paper.flights import (
     apart_s,
     beginning,
     broken_s,
+    claims_of,
     edges_m,
     fewest_in_range,
     results,
@@ -38,7 +39,7 @@ LAWS: tuple[LawName, ...] = ("weighted", *AVERAGES)
 
 
 def aggregation_claims(book: Book) -> list[Claim]:
-    return [_average_fails(book), _weighted_succeeds(book), _weighted_keeps_together(book), _one_average_law(book)]
+    return claims_of(book, (_average_fails, _weighted_succeeds, _weighted_keeps_together, _one_average_law))
 
 
 def range_m(entry: FlownPlan) -> float:

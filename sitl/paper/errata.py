@@ -16,11 +16,11 @@ from companion.laws.average_22 import Average22
 from companion.laws.average_26 import Average26
 from companion.laws.weighted import Weighted
 from companion.types.values import GRAVITY_M_S2
+from sitl.compare.shapes import chain
 from sitl.paper.spectrum import lambda_min
 from sitl.paper.theorems import printed_prcs
 from sitl.paper.words import erratum_of, words
 from sitl.report.claim import Erratum
-from sitl.study.shapes import chain
 
 PLATOON = chain(4).adjacency()
 ASKED_M_S2 = (1.0, 0.5, 0.0)  # acceleration with which eq. 8 is tried

@@ -6,6 +6,7 @@ A `Book` has all flights by subject, law and model. Topology and interaction mat
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -16,10 +17,12 @@ from companion.analysis.interaction import FloatArray
 from companion.config.law import LawName, law_of
 from companion.types.errors import FailedError
 from companion.types.flight import Role
+from sitl.compare.shapes import is_connected
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.shipped import SHIPPED
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.paper.graphs import graph_of
+from sitl.report.claim import Claim
 from sitl.report.metrics import (
     Formation,
     FormationFigures,
@@ -35,7 +38,6 @@ from sitl.report.metrics import (
 )
 from sitl.report.progress import FlightProgress
 from sitl.report.summary import TopologyChange
-from sitl.study.shapes import is_connected
 
 # The paper's law and both candidates for the law that it was compared with.
 COMPARED: tuple[LawName, ...] = ("average_22", "average_26", "weighted")
@@ -49,6 +51,10 @@ NOISY_LAWS: tuple[LawName, ...] = ("average_22", "weighted")
 
 class NoFormationError(FailedError):
     """A flight never reached its formation, so that it has no figures. str() is one line."""
+
+
+class NotFlownError(LookupError):
+    """A flight that a figure or a claim needs was not flown, because the command was stopped."""
 
 
 class Model(StrEnum):
@@ -310,15 +316,19 @@ def behind_leader_m(flight: FormationFlight, leader_id: int, vehicle_id: int, ti
 
 
 class Book:
-    """All flights of a report."""
+    """The flights of a report; `plans` are those that it should have, where some may be missing."""
 
-    def __init__(self, flown: Iterable[FlownPlan]) -> None:
+    def __init__(self, flown: Iterable[FlownPlan], plans: Iterable[PaperPlan] = ()) -> None:
         self._flown = list(flown)
+        self._plans = list(plans)
 
     def all(self, subject: FlightSubject, law: LawName, model: Model) -> list[FlownPlan]:
-        """The flights with all seeds."""
+        """The flights with all seeds. Raises NotFlownError where one is missing."""
         wanted = (subject, law, model)
-        return [one for one in self._flown if (one.plan.subject, one.plan.law, one.plan.model) == wanted]
+        found = [one for one in self._flown if (one.plan.subject, one.plan.law, one.plan.model) == wanted]
+        if len(found) < sum((plan.subject, plan.law, plan.model) == wanted for plan in self._plans):
+            raise NotFlownError(f"not all flights of {subject}, {law}, {model} were flown")
+        return found
 
     def perfect(self, subject: FlightSubject, laws: Sequence[LawName]) -> dict[tuple[LawName, Model], FlownPlan]:
         """The flights with perfect sensors under each law with each model. Raises LookupError."""
@@ -330,6 +340,15 @@ class Book:
         if not found:
             raise LookupError(f"nothing was flown of {subject}, {law}, {model}")
         return found[0]
+
+
+def claims_of(book: Book, makers: Iterable[Callable[[Book], Claim]]) -> list[Claim]:
+    """Those claims whose flights were flown."""
+    found = []
+    for make in makers:
+        with suppress(NotFlownError):
+            found.append(make(book))
+    return found
 
 
 def results(text_of: Callable[[Model], str]) -> dict[str, str]:

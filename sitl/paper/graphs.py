@@ -22,9 +22,9 @@ from companion.laws.average_22 import Average22
 from companion.laws.average_26 import Average26
 from companion.laws.weighted import Weighted
 from companion.types.values import Vector3
+from sitl.compare.shapes import ring
 from sitl.paper.words import claim_of, verdict_of
 from sitl.report.claim import Claim
-from sitl.study.shapes import ring
 
 Edge = tuple[int, int]
 FEWEST_RANDOM, MOST_RANDOM = 8, 40  # vertices of a random graph; smaller graphs are all enumerated

@@ -1,4 +1,4 @@
-"""The report: index.html and claims.json from claims, errata, figures, the table of laws and the study beyond the paper."""
+"""The report: index.html and claims.json from claims, errata, figures and the table of laws."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from markupsafe import Markup
 from msgspec import Struct
 
 from companion import __version__
@@ -23,11 +24,9 @@ from sitl.paper.platoon_claims import PAIRS
 from sitl.paper.words import join_words, words
 from sitl.report.claim import Claim, ClaimVerdict, Erratum
 from sitl.report.metrics import FormationFigures, settle_time_s
+from sitl.report.page_style import STYLE
 from sitl.report.plots import LAW_TITLES
 from sitl.report.summary import write_json
-from sitl.study.command import SHOWN, StudyReport
-from sitl.study.settings import COOPERATIVE, SETTINGS, WEIGHTED, parameters_text
-from sitl.study.table import cells_of
 
 SCHEMA = 1
 SIGNS = {ClaimVerdict.HOLDS: "✓", ClaimVerdict.CONDITION: "◐", ClaimVerdict.FAILS: "✗"}  # distinct without colour
@@ -35,7 +34,10 @@ CSS_CLASSES = {ClaimVerdict.HOLDS: "holds", ClaimVerdict.CONDITION: "condition",
 
 
 class PaperReport(Struct, frozen=True, kw_only=True):
-    """Content of claims.json. `took_s`: run time of the command; `flights`: number of its flights."""
+    """Content of claims.json. `took_s`: run time of the command; `flights`: number of its flights.
+
+    `missing`: claims and figures that were not finished when the command was stopped.
+    """
 
     schema: int = SCHEMA
     claims: list[Claim]
@@ -45,9 +47,7 @@ class PaperReport(Struct, frozen=True, kw_only=True):
     full: bool
     flights: int
     took_s: float
-    past_claims: list[Claim] = []
-    past_words: str = ""
-    past_settings: list[SettingRow] = []
+    missing: list[str] = []
 
 
 def versions() -> dict[str, str]:
@@ -87,9 +87,13 @@ def as_html(report: PaperReport) -> str:
         report=report,
         summary=verdict_counts(report.claims),
         verdicts=[(verdict, [c for c in report.claims if c.verdict is verdict]) for verdict in ClaimVerdict],
-        figures=[(file, own, [by_id[i] for i in own.claims if i in by_id]) for file, own in words().figures.items()],
+        figures=[
+            (file, own, [by_id[i] for i in own.claims if i in by_id])
+            for file, own in words().figures.items()
+            if file not in report.missing
+        ],
         law_titles=LAW_TITLES,
-        past_shapes=SHOWN,
+        style=Markup(STYLE),
     )
 
 
@@ -98,42 +102,6 @@ def sentence(text: str) -> str:
     first = text.partition(" ")[0]
     capital = text[:1].upper() + text[1:] if first.isalpha() else text
     return capital if not text or text.endswith(".") else f"{capital}."
-
-
-CHAINS = ("chain-4", "chain-16")
-SHARPER_ALONE = next(setting for setting in SETTINGS if setting.label.startswith("a: "))
-
-
-class SettingRow(Struct, frozen=True, kw_only=True):
-    """One setting: label, parameters, and for each shape of `SHOWN` the settle time and the distances, as text."""
-
-    label: str
-    numbers: str
-    cells: tuple[str, ...]
-
-
-def growth_text(report: StudyReport) -> str:
-    """How errors develop along a chain, under the paper's law and under the laws with sharper weights."""
-    # Reversed: of two flights of the same case the first counts, as these have the same duration.
-    worst_m = {(f.shape, f.setting): max(f.stretch_m, f.squeeze_m) for f in reversed(report.study.quiet)}
-    few_m, many_m = (worst_m[shape, WEIGHTED.label] for shape in CHAINS)
-    sharper_m, ours_m = (worst_m[CHAINS[1], setting.label] for setting in (SHARPER_ALONE, COOPERATIVE))
-    few, many = (shape.removeprefix("chain-") for shape in CHAINS)
-    return (
-        f"Under the paper's law the largest deviation of a neighbour distance is {few_m:.2f} m in the chain of {few} and "
-        f"{many_m:.2f} m in the chain of {many}: the errors {'grow' if many_m > few_m else 'do not grow'} along it. In the "
-        f"chain of {many} it is {sharper_m:.2f} m with sharper weights alone (a) and {ours_m:.2f} m with cooperative."
-    )
-
-
-def setting_rows(report: StudyReport) -> list[SettingRow]:
-    """One row per setting of the law, in the order of the study."""
-    return [
-        SettingRow(
-            label=setting.label, numbers=parameters_text(setting), cells=cells_of(report.study.quiet, setting, SHOWN)
-        )
-        for setting in SETTINGS
-    ]
 
 
 DELAY_S = 0.01  # agents tick every 0.02 s at different phases: the mean age of a neighbour's state is half of that

@@ -20,6 +20,7 @@ from sitl.paper.flights import (
     LeadershipSpan,
     Model,
     behind_leader_m,
+    claims_of,
     leaderships,
     reported_matrix,
     response_s,
@@ -40,14 +41,15 @@ SIDE_WITHIN = 1 / 6  # bound of a side's deviation, as a share of its length
 
 
 def ring_claims(book: Book) -> list[Claim]:
-    return [
-        _follows_the_8(book),
-        _reported_weights(book),
-        _changes_at_once(book),
-        _diagonal_is_worst(book),
-        _latency_grows(book),
-        _latency_is_reduced(book),
-    ]
+    makers = (
+        _follows_the_8,
+        _reported_weights,
+        _changes_at_once,
+        _diagonal_is_worst,
+        _latency_grows,
+        _latency_is_reduced,
+    )
+    return claims_of(book, makers)
 
 
 def _flown(book: Book, model: Model, law: LawName = "weighted") -> FlownPlan:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cache
 
 import numpy as np
@@ -11,6 +11,7 @@ from companion.analysis.interaction import FloatArray, mode_figures
 from companion.analysis.response import Graph, hops
 from companion.core.consensus.law import next_prc
 from companion.types.formation import PAPER_GAINS, Gains
+from sitl.compare.shapes import chain
 from sitl.paper.graphs import (
     Led,
     aggregation_graph,
@@ -36,7 +37,6 @@ from sitl.paper.spectrum import (
 )
 from sitl.paper.words import claim_of, verdict_of
 from sitl.report.claim import Claim, Progress, no_progress
-from sitl.study.shapes import chain
 
 Prcs = dict[int, int]
 
@@ -312,29 +312,24 @@ def platoon() -> Claim:
 SURVEYED, CONVERGED, COUNTED = 0.5, 0.8, 0.95
 
 
-def theory_claims(full: bool = False, progress: Progress = no_progress) -> list[Claim]:
-    """Every claim of sections 2 to 4 and on the printed matrices, in the order of the paper.
+def theory_claims(full: bool = False, progress: Progress = no_progress) -> Iterator[Claim]:
+    """Every claim of sections 2 to 4 and on the printed matrices, as soon as it is computed.
 
     `full` uses every graph of up to seven vertices instead of six, and ten times as many random graphs.
     """
     survey = take_survey(full, _part(progress, 0.0, SURVEYED))
-    in_time = proposition_1_and_corollary_1(survey, _part(progress, SURVEYED, CONVERGED))
-    algorithm = algorithm_1(survey, _part(progress, CONVERGED, COUNTED))
-    claims = [
-        rows_of_g(survey),
-        algorithm,
-        lemma_1(survey),
-        lemma_1_converse(survey),
-        *in_time,
-        lemma_2(survey),
-        corollary_2(survey),
-        proposition_2_against_22(survey),
-        proposition_2_against_26(survey),
-        platoon(),
-        *matrix_claims(),
-    ]
+    yield rows_of_g(survey)
+    yield lemma_1(survey)
+    yield lemma_1_converse(survey)
+    yield lemma_2(survey)
+    yield corollary_2(survey)
+    yield proposition_2_against_22(survey)
+    yield proposition_2_against_26(survey)
+    yield platoon()
+    yield from matrix_claims()
+    yield from proposition_1_and_corollary_1(survey, _part(progress, SURVEYED, CONVERGED))
+    yield algorithm_1(survey, _part(progress, CONVERGED, COUNTED))
     progress(1.0)
-    return claims
 
 
 def _part(progress: Progress, begin: float, end: float) -> Progress:

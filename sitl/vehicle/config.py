@@ -256,6 +256,18 @@ class Partition(Section, frozen=True):
         return self.lost == "both" or (self.lost == "sent") is (sender in self.vehicles)
 
 
+class FalsePosition(Section, frozen=True):
+    """A time in which the packets of one vehicle state a wrong position.
+
+    shift_enu_m: the stated position minus that of its estimate
+    """
+
+    vehicle: VehicleId
+    shift_enu_m: PositionM
+    from_s: FlightTime = 0.0
+    until_s: FlightTime = 36_000.0
+
+
 class LateTelemetry(Section, frozen=True):
     """A time in which the telemetry of one vehicle arrives late, as from a full serial buffer. Its order stays.
 
@@ -283,6 +295,7 @@ class Links(Section, frozen=True):
         Zenoh in TCP streams; `sitl run` always loses and delays single packets, as with datagrams
     partitions: times in which vehicles receive nothing from each other
     late_telemetry: times in which telemetry takes longer than `telemetry_delay_s`; `sitl run` only
+    false_positions: times in which vehicles publish wrong positions; `sitl run` only
     """
 
     telemetry_delay_s: DelaySeconds = 0.0003
@@ -294,6 +307,7 @@ class Links(Section, frozen=True):
     peer_transport: Literal["tcp", "udp"] = "udp"
     partitions: tuple[Partition, ...] = ()
     late_telemetry: tuple[LateTelemetry, ...] = ()
+    false_positions: tuple[FalsePosition, ...] = ()
 
     @property
     def disturb_peers(self) -> bool:

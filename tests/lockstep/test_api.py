@@ -87,7 +87,7 @@ def test_a_scenario_is_changed_by_values_of_python_and_numpy(tmp_path: Path) -> 
 
 
 def test_what_cannot_be_flown_is_one_line() -> None:
-    with pytest.raises(ConfigError, match=r"platoon: fleet\.law\.name: 'none': expected one of average_22"):
+    with pytest.raises(ConfigError, match=r"platoon: fleet\.law\.name: 'none' is no law; expected one of cooperative"):
         fly("platoon", law="none")
     with pytest.raises(ConfigError, match=r"platoon: stand_in\.seed: -1"):
         fly("platoon", seed=-1)

@@ -133,7 +133,9 @@ def figures_of(*overrides: str) -> tuple[BatchFigures, BatchFigures]:
     begin_s = began_s(scenario, flown)
     batch = fly_batch([scenario], FLOWN_S, start=start_of(scenario, flown, begin_s))
     positions = positions_m(flown, begin_s + batch.times_s)[:, None].astype(np.float32)
-    lockstep = BatchFlight(batch.times_s, positions, batch.slots_enu_m, batch.reference_enu_m, None)
+    lockstep = BatchFlight(
+        batch.times_s, positions, batch.slots_enu_m, batch.reference_enu_m, None, batch.commanded_m_s2
+    )
     return batch_figures(batch), batch_figures(lockstep)
 
 

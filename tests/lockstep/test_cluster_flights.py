@@ -17,23 +17,17 @@ from dask_cluster import Cluster, cluster, known_tasks, running_tasks
 from sitl.cli.main import exit_code_of, parser
 from sitl.cluster import client, workers_of
 from sitl.cluster.task import software
+from sitl.compare import flights
 from sitl.paper.flights import FlightSubject, Model, PaperPlan
 from sitl.paper.flights import fly as fly_plan
 from sitl.report.progress import ShareProgress
-from sitl.study.cases import Case
-from sitl.study.plan import Batch
-from sitl.study.settings import AVERAGE_22
-from sitl.study.shapes import chain
-from sitl.study.study import fly_batch_of_pairs
-from sitl.sweep import flights
 from sitl.workers import LocalWorkers, all_results
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
-SWEEP = ["sweep", str(PLATOON), "--vary", "stand_in.sensors=ideal,default", "--vary", "links.peer_loss=0,0.2"]
-SWEEP += ["--seeds", "4", "--seconds", "3", "--quiet"]
+COMPARE = ["compare", str(PLATOON), "--vary", "stand_in.sensors=ideal,default", "--vary", "links.peer_loss=0,0.2"]
+COMPARE += ["--seeds", "4", "--seconds", "4", "--quiet"]
 GAUNTLET = ["gauntlet", "--flights", "1", "--families", "exchange", "--seed", "7", "--quiet"]
-SWITCHING = ["switching", "--starts", "3", "--vehicles", "4", "--seconds", "2", "--quiet"]
-COMMANDS = (SWEEP, GAUNTLET, SWITCHING, ["study"], ["paper"])
+COMMANDS = (COMPARE, GAUNTLET, ["paper", "--quiet"])
 
 
 @pytest.fixture(autouse=True)
@@ -62,7 +56,7 @@ def run(arguments: list[str], out: Path, *more: str) -> int:
 
 
 @pytest.mark.long
-def test_a_sweep_is_the_same_although_a_worker_is_killed(
+def test_a_comparison_is_the_same_although_a_worker_is_killed(
     two: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def kill_one(_progress: ShareProgress, share: float, more: str = "") -> None:
@@ -71,11 +65,11 @@ def test_a_sweep_is_the_same_although_a_worker_is_killed(
             two.workers[0].wait()
 
     monkeypatch.setattr(flights, "chunk_size", lambda *_: 2)
-    assert run(SWEEP, tmp_path / "here") == 0
+    assert run(COMPARE, tmp_path / "here") == 0
     monkeypatch.setattr(ShareProgress, "show", kill_one)
-    assert run(SWEEP, tmp_path / "there", "--cluster", two.address) == 0
+    assert run(COMPARE, tmp_path / "there", "--cluster", two.address) == 0
     assert two.workers[0].poll() == -signal.SIGKILL
-    for name in ("sweep.csv", "sweep.json"):
+    for name in ("compare.csv",):
         assert (tmp_path / "here" / name).read_bytes() == (tmp_path / "there" / name).read_bytes()
 
 
@@ -92,29 +86,17 @@ def test_the_flights_of_the_gauntlet_are_the_same(two: Cluster, tmp_path: Path) 
     assert flown("here") == flown("there")
 
 
-@pytest.mark.long
-def test_random_starts_are_the_same(two: Cluster, tmp_path: Path) -> None:
-    assert run(SWITCHING, tmp_path / "here") == run(SWITCHING, tmp_path / "there", "--cluster", two.address) == 0
-    name = "switching.json"
-    assert (tmp_path / "here" / name).read_bytes() == (tmp_path / "there" / name).read_bytes()
-
-
-def test_flights_of_the_paper_and_the_study_are_the_same(two: Cluster) -> None:
+def test_flights_of_the_paper_are_the_same(two: Cluster) -> None:
     plans = [PaperPlan(FlightSubject.PLATOON, "weighted", Model.FULL, more=("timeline[3].for_s=4",))]
-    batches = [Batch((Case(chain(4), AVERAGE_22, "default"),), 4.0)]
     (flight,) = all_results(LocalWorkers(), fly_plan, plans, no_progress)
-    (pairs,) = all_results(LocalWorkers(), fly_batch_of_pairs, batches, no_progress)
     with workers_of(two.address) as workers:
         (flight_there,) = all_results(workers, fly_plan, plans, no_progress)
-        (pairs_there,) = all_results(workers, fly_batch_of_pairs, batches, no_progress)
     tracks, tracks_there = flight.flight.tracks, flight_there.flight.tracks
     assert all(np.array_equal(tracks[i].position_enu_m, tracks_there[i].position_enu_m) for i in tracks)
-    assert pairs[0].pair == pairs_there[0].pair
-    assert np.array_equal(pairs[0].step_worst_m, pairs_there[0].step_worst_m)
 
 
 def test_ctrl_c_cancels_the_tasks(two: Cluster, tmp_path: Path) -> None:
-    arguments = ["sweep", str(PLATOON), "--seeds", "3000", "--seconds", "3600", "--out", str(tmp_path / "out")]
+    arguments = ["compare", str(PLATOON), "--seeds", "3000", "--seconds", "3600", "--out", str(tmp_path / "out")]
     with subprocess.Popen(
         [sys.executable, "-m", "sitl", *arguments, "--cluster", two.address],
         stdout=subprocess.PIPE,

@@ -1,9 +1,11 @@
 """Chains of vehicles whose states arrive with jitter and loss, as batches with ideal sensors."""
 
+from msgspec.structs import replace
+
+from companion.analysis.prediction import settle_time_s
 from sitl.batch.flight import BatchFlight, fly_batch
-from sitl.study.cases import Case, settled_s
-from sitl.study.settings import COOPERATIVE
-from sitl.study.shapes import chain
+from sitl.compare.graphs import led
+from sitl.compare.shapes import chain
 from sitl.vehicle.config import Links
 
 JITTER = Links(peer_delay_s=0.02, peer_jitter_s=0.05, peer_loss=0.1)
@@ -13,7 +15,7 @@ SPACING_M = 1.5
 
 def flown(vehicles: int, links: Links, duration_s: float) -> BatchFlight:
     """A chain under `cooperative`, after a step of 1 m."""
-    return fly_batch([Case(chain(vehicles), COOPERATIVE, links=links).scenario()], duration_s)
+    return fly_batch([replace(led(chain(vehicles), 1), links=links)], duration_s)
 
 
 def distances_m(flight: BatchFlight) -> list[float]:
@@ -25,7 +27,7 @@ def distances_m(flight: BatchFlight) -> list[float]:
 def test_with_jitter_a_chain_of_16_settles_nearly_as_without() -> None:
     """4.7 s with a velocity extrapolated over the whole age; 3.1 s without any extrapolation."""
     flight = flown(16, JITTER, 8.0)
-    time_s = settled_s(flight.times_s, flight.errors_m()[:, 0].max(axis=1), 0.1)
+    time_s = settle_time_s(flight.times_s, flight.errors_m()[:, 0].max(axis=1), 0.1)
     assert time_s is not None
     assert time_s < 2.9
 

@@ -9,7 +9,7 @@ from companion.types.formation import FlownSlot
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.values import ZERO3
 from sitl.links.network import Network
-from sitl.vehicle.config import Links, Partition
+from sitl.vehicle.config import FalsePosition, Links, Partition
 
 
 def packet(vehicle_id: int, sequence: int) -> PeerPacket:
@@ -131,3 +131,14 @@ def test_a_partition_loses_the_packets_of_its_direction_until_it_ends(
     assert arrive(2, 1.0) == [to_2, to_3, to_1]
     assert arrive(3, 1.98) == [to_2, to_3, to_1]
     assert arrive(4, 2.0) == [True, True, True]
+
+
+def test_a_lying_vehicle_states_another_position_for_a_time() -> None:
+    links = Links(false_positions=(FalsePosition(vehicle=1, shift_enu_m=(0.0, 1.0, 0.0), from_s=1.0, until_s=2.0),))
+    network = Network([1, 2], links, seed=1)
+    stated = []
+    for now_s in (0.5, 1.5, 2.5):
+        network.send(packet(1, 1), now_s)
+        network.send(packet(2, 1), now_s)
+        stated += [one.packet.motion.position_enu_m for i in (2, 1) for one in network.receive(i, now_s + 0.1)]
+    assert stated == [ZERO3, ZERO3, (0.0, 1.0, 0.0), ZERO3, ZERO3, ZERO3]

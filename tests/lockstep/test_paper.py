@@ -1,17 +1,22 @@
 """`sitl paper`: shortened flights, and the command line."""
 
+import argparse
 import os
 import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from companion.config.law import LawName
 from sitl.paper.aggregation_claims import broken_edges, has_gathered, left_for_good_s
+from sitl.paper.command import run_paper
 from sitl.paper.flights import (
     PATIENT,
     Book,
@@ -22,11 +27,14 @@ from sitl.paper.flights import (
     PaperPlan,
     fly,
     leaderships,
+    paper_plans,
     reported_matrix,
     topology_at,
 )
-from sitl.paper.graphs import RING_LED_BY_1, RING_LED_BY_2, printed_matrix
+from sitl.paper.graphs import RING_LED_BY_1, RING_LED_BY_2, matrix_claims, printed_matrix
 from sitl.paper.report import ideal_figures
+from sitl.report.claim import Claim
+from sitl.report.progress import ShareProgress
 from sitl.workers import LocalWorkers
 
 SHORT = "timeline[3].for_s=6"
@@ -105,15 +113,53 @@ def test_a_folder_that_cannot_be_written_is_one_line(folder: str) -> None:
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_ctrl_c_ends_promptly_without_a_report(tmp_path: Path) -> None:
+def test_ctrl_c_before_anything_is_finished_is_one_line(tmp_path: Path) -> None:
     """The workers get the signal too, as in a terminal."""
     with subprocess.Popen(
         command("--out", tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:
         assert process.stderr is not None
+        assert "minutes on" in process.stderr.readline()
         assert "theory" in process.stderr.readline()
         os.killpg(process.pid, signal.SIGINT)
-        printed, errors = process.communicate(timeout=5)
+        printed, errors = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert (printed, errors) == ("", "stopped; no report was written\n")
+    assert (printed, errors) == ("", "stopped before anything was finished; no report was written\n")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_keeps_what_is_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the theory one claim; of the flights all of the platoon with perfect sensors, and no figure of eight."""
+    laws: tuple[LawName, ...] = ("weighted", "average_22", "average_26")
+    plans = [
+        PaperPlan(FlightSubject.PLATOON, law, model, more=(SHORT,))
+        for law in laws
+        for model in (Model.IDEAL, Model.FULL)
+    ]
+    finished = matrix_claims()[:1]
+
+    def theory(_full: bool, show: Callable[[float], None]) -> Iterator[Claim]:
+        yield from finished
+        while True:
+            time.sleep(0.2)
+            show(0.5)
+
+    def interrupt(_progress: ShareProgress, _share: float, more: str = "") -> None:
+        if more.endswith("flights 100%"):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    every = paper_plans(full=False)
+    monkeypatch.setattr("sitl.paper.theorems.theory_claims", theory)
+    monkeypatch.setattr("sitl.paper.flights.paper_plans", lambda _full: plans)
+    monkeypatch.setattr("sitl.paper.flights.Book", lambda flown, _plans: Book(flown, every))
+    monkeypatch.setattr(ShareProgress, "show", interrupt)
+    assert run_paper(argparse.Namespace(out=tmp_path, quiet=True, cluster=None, full=False)) == 130
+    content = msgspec.json.decode((tmp_path / "claims.json").read_bytes())
+    ids = {claim["id"] for claim in content["claims"]}
+    assert {finished[0].id, "fig-5-faster"} <= ids
+    assert {"lemma-1", "figure_8.png"} <= set(content["missing"])
+    assert not ids & set(content["missing"])
+    assert (tmp_path / "figure_5.png").exists() and not (tmp_path / "figure_8.png").exists()
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "Stopped before the end. Not finished:" in page
+    assert 'src="figure_5.png"' in page and 'src="figure_8.png"' not in page

@@ -153,9 +153,9 @@ def test_an_agent_flies_beside_a_stand_in(installed: Environment, vehicle: Path)
         agent.wait()
 
 
-@pytest.mark.parametrize("command", ["run", "fly", "paper", "sweep", "study", "switching"])
+@pytest.mark.parametrize("command", ["run", "fly", "paper", "compare"])
 def test_a_command_without_its_packages_names_what_to_install(installed: Environment, command: str) -> None:
-    scenario = ["x.yaml"] if command in ("run", "fly", "sweep") else []
+    scenario = ["x.yaml"] if command in ("run", "fly") else []
     done = installed.run("sitl", command, *scenario)
     assert done.returncode == 2
     assert "not installed; pip install '.[ground]'" in done.stderr

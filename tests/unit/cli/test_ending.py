@@ -17,13 +17,13 @@ PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
     "arguments",
     [
         ("companion", "analyze", PLATOON),
-        ("sitl", "sweep", PLATOON, "--seeds", "1", "--seconds", "2", "--quiet"),
+        ("sitl", "compare", PLATOON, "--seeds", "1", "--seconds", "4", "--quiet"),
     ],
 )
 def test_a_closed_pipe_is_no_traceback(arguments: tuple[object, ...], tmp_path: Path) -> None:
     read, write = os.pipe()
     os.close(read)
-    more = ("--out", tmp_path) if "sweep" in arguments else ()
+    more = ("--out", tmp_path) if "compare" in arguments else ()
     done = subprocess.run(
         [sys.executable, "-m", *map(str, (*arguments, *more))],
         stdout=write,
@@ -35,7 +35,7 @@ def test_a_closed_pipe_is_no_traceback(arguments: tuple[object, ...], tmp_path: 
     os.close(write)
     assert done.stderr == ""
     assert done.returncode == 141
-    assert not more or (tmp_path / "sweep.csv").exists()
+    assert not more or (tmp_path / "compare.csv").exists()
 
 
 def test_another_broken_pipe_is_an_error() -> None:

@@ -21,7 +21,7 @@ def interrupted(*_: object, **__: object) -> NoReturn:
 
 @pytest.mark.parametrize(
     ("command", "package"),
-    [("study", "scipy"), ("switching", "scipy"), ("paper", "jinja2"), ("switching", "matplotlib"), ("study", "rich")],
+    [("compare", "scipy"), ("paper", "jinja2"), ("compare", "matplotlib"), ("gauntlet", "rich")],
 )
 def test_a_missing_package_is_reported_in_one_line(command: str, package: str) -> None:
     code = WITHOUT.format(package=package, command=command)
@@ -64,7 +64,7 @@ def test_a_command_with_a_result_prints_interrupted_on_ctrl_c(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["sweep", "x.yaml", "--seeds", "1.5"], "'1.5', expected a whole number from 1 to"),
+        (["compare", "x.yaml", "--seeds", "1.5"], "'1.5', expected a whole number from 1 to"),
         (["fly", "x.yaml", "--port-offset", "1.5"], "'1.5', expected a whole number from 0 to"),
     ],
 )

@@ -58,7 +58,7 @@ def test_a_wrong_name_is_one_line_with_near_ones(name: str, hint: str) -> None:
     assert str(caught.value) == f"{name}: {line}"
 
 
-@pytest.mark.parametrize("command", ["run", "fly", "fleet", "sweep"])
+@pytest.mark.parametrize("command", ["run", "fly", "fleet", "compare"])
 def test_every_command_that_takes_a_scenario_takes_a_name(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from companion.analysis.interaction import interaction_matrix, mode_figures
 from companion.types.formation import PAPER_GAINS, Gains
+from sitl.compare.shapes import chain, ring
 from sitl.paper.graphs import (
     Led,
     aggregation_graph,
@@ -44,7 +45,6 @@ from sitl.paper.theorems import (
     ticks_to_settle,
 )
 from sitl.report.claim import ClaimVerdict
-from sitl.study.shapes import chain, ring
 from tests.helpers.laws import weighted
 
 # ---------------------------------------------------------------- graphs

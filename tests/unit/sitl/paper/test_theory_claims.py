@@ -6,10 +6,10 @@ import pytest
 import sitl.paper.graphs as matrices
 import sitl.paper.theorems as comparison
 from companion.types.values import ZERO3
+from sitl.compare.shapes import Shape
 from sitl.paper.errata import acceleration_of, errata, printed_attitude, right_attitude
 from sitl.paper.theorems import theory_claims
 from sitl.report.claim import Claim, ClaimVerdict
-from sitl.study.shapes import Shape
 
 CONDITION, FAILS = ClaimVerdict.CONDITION, ClaimVerdict.FAILS
 
@@ -88,7 +88,8 @@ def test_a_matrix_that_differs_from_the_papers_fails(monkeypatch: pytest.MonkeyP
 
 
 def test_wrong_weights_fail_figure_2(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(matrices, "weighted", matrices.average_22)
+    monkeypatch.setattr(matrices, "neighbour_weights", lambda prcs: (1.0 / len(prcs),) * len(prcs))
+    monkeypatch.setattr(matrices, "Weighted", matrices.Average22)
     claim = matrices.figure_2()
     assert claim.verdict is FAILS
     assert claim.ideal.startswith("1/4 for 1")

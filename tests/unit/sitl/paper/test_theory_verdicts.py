@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ import sitl.paper.theorems as algorithm1
 import sitl.paper.theorems as comparison
 from companion.analysis.interaction import FloatArray
 from sitl.paper.graphs import every_small_pair, random_pairs
-from sitl.paper.report import growth_text
 from sitl.paper.spectrum import (
     GraphSpectra,
     GraphSurvey,
@@ -30,7 +28,6 @@ from sitl.paper.theorems import (
     proposition_2_against_26,
 )
 from sitl.report.claim import Claim, ClaimVerdict
-from sitl.study.settings import SETTINGS
 
 HOLDS, CONDITION, FAILS = ClaimVerdict.HOLDS, ClaimVerdict.CONDITION, ClaimVerdict.FAILS
 
@@ -121,17 +118,3 @@ def test_prcs_that_are_not_hops_break_algorithm_1(
     assert "PrC climbs" in algorithm1.algorithm_1(survey).remark
     monkeypatch.setattr(algorithm1, "next_prc", wrong)
     assert algorithm1.algorithm_1(survey).verdict is FAILS
-
-
-@pytest.mark.parametrize(
-    ("in_16_m", "expected"), [(0.7, "the errors grow along it"), (0.2, "the errors do not grow along it")]
-)
-def test_the_text_on_error_growth_follows_from_the_flights(in_16_m: float, expected: str) -> None:
-    quiet = [
-        SimpleNamespace(shape=shape, setting=setting.label, stretch_m=0.1, squeeze_m=squeeze_m)
-        for shape, squeeze_m in (("chain-4", 0.3), ("chain-16", in_16_m), ("chain-16", 9.9))
-        for setting in SETTINGS
-    ]
-    text = growth_text(SimpleNamespace(study=SimpleNamespace(quiet=quiet)))  # type: ignore[arg-type]
-    assert expected in text
-    assert f"0.30 m in the chain of 4 and {in_16_m:.2f} m in the chain of 16" in text
