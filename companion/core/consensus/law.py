@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from math import inf, isfinite
 
+from msgspec.structs import asdict, replace
+
 from companion.laws import FormationState, Law, Memory, Neighbour, Own, Values
 from companion.laws._trial import MOST_M_S2
 from companion.types.autopilot import VehicleState
@@ -66,11 +68,14 @@ class FlownLaw:
         commanded_enu_m_s2: Vector3,
         neighbours: Sequence[Neighbour],
         reference: FormationState | None,
+        rft: FormationState | None = None,
     ) -> Values:
-        """What the law publishes. Raises LawError."""
+        """What the law publishes, of a vehicle that is kept off its slot as if it flew by `rft`. Raises LawError."""
         if not self.law.publishes:
             return ()
         own = self._own(vehicle, slot, commanded_enu_m_s2)
+        if rft is not None:
+            own = replace(own, **asdict(rft))
         try:
             values = self.law.publish(own, neighbours, reference)
         except Exception as error:  # as above

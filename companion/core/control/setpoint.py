@@ -147,7 +147,7 @@ class SetpointStage:
             rejected=stream.rejected,
             separation=self._separation if flight.streams else UNFILTERED,
             rft=rft,
-            law_values=self._law_values(vehicle, phase, consensus, guidance) if self._publishes else (),
+            law_values=self._law_values(vehicle, phase, consensus, guidance, rft) if self._publishes else (),
         )
 
     def _begin(self, now_s: float, vehicle: VehicleState) -> None:
@@ -156,13 +156,18 @@ class SetpointStage:
         self._law.end()
 
     def _law_values(
-        self, vehicle: VehicleState, phase: FlightPhase, consensus: Consensus, guidance: Guidance
+        self,
+        vehicle: VehicleState,
+        phase: FlightPhase,
+        consensus: Consensus,
+        guidance: Guidance,
+        rft: FormationState | None,
     ) -> tuple[Vector3, ...]:
         """Of a vehicle that cooperates: its neighbours may be in formation before it."""
         if phase not in COOPERATING or vehicle.position_time_s == -inf:
             return ()
         states, commanded_enu_m_s2 = consensus.neighbours.states, self._stream.commanded_enu_m_s2
-        return self._law.values(vehicle, guidance.slot, commanded_enu_m_s2, states, guidance.reference)
+        return self._law.values(vehicle, guidance.slot, commanded_enu_m_s2, states, guidance.reference, rft)
 
     def _carry_on(self, now_s: float, vehicle: VehicleState) -> AttitudeTarget | None:
         """What the vehicle does already. A decision needs a new position here, too."""

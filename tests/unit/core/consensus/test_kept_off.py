@@ -7,8 +7,11 @@ from math import inf
 import pytest
 
 from companion.core.consensus.kept_off import BACK_WITHIN_M, INTERVENES_M_S2, LASTS_S, NEARER_WITHIN_S, KeptOff, target
+from companion.core.consensus.law import FlownLaw
 from companion.core.consensus.peers import PeerState, neighbour_at
 from companion.laws import Neighbour
+from companion.laws.serial import Serial
+from companion.types.autopilot import VehicleState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationState
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
@@ -107,3 +110,10 @@ def test_peers_use_the_rft_in_place_of_its_offset() -> None:
     assert state.velocity_enu_m_s == pytest.approx(RFT.velocity_enu_m_s, abs=0.03)
     assert state.acceleration_enu_m_s2 == RFT.acceleration_enu_m_s2
     assert peer.position_at(1.5) == pytest.approx((13.0, 1.0, 5.0))  # what is kept apart is where it is
+
+
+def test_what_its_law_publishes_is_of_the_rft_too() -> None:
+    ahead = Neighbour(RFT.position_enu_m, RFT.velocity_enu_m_s, values=(ZERO3,))
+    vehicle, flown = VehicleState(position_enu_m=(13.0, 0.0, 5.0)), FlownLaw(Serial(), 0.0)
+    assert flown.values(vehicle, FlownSlot((1.0, 0.0, 0.0)), ZERO3, [ahead], None) == ((2.0, 0.0, 0.0),)
+    assert flown.values(vehicle, FlownSlot((1.0, 0.0, 0.0)), ZERO3, [ahead], None, RFT) == (ZERO3,)
