@@ -21,8 +21,7 @@ import numpy as np
 from msgspec import to_builtins
 
 from companion.analysis.interaction import FloatArray
-from companion.config.file import override
-from companion.config.named_files import read_named
+from companion.config.named_files import read_named, with_overrides
 from companion.config.new_formation import inline
 from companion.tools.analysis import Analysis, LawAnalysis, analyse
 from companion.tools.subject import subject_of
@@ -145,7 +144,7 @@ def load(scenario: Source, overrides: Overrides = NOTHING, law: str | None = Non
     elif not overrides:
         return found
     lines = [f"{key}={inline(_plain(value))}" for key, value in overrides.items()]
-    data = override(_plain(to_builtins(found)), lines, EXAMPLE)
+    data = with_overrides(_plain(to_builtins(found)), lines, EXAMPLE)
     return scenario_from(Path(_name(scenario)), read_named(data, file) if file else data)
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from companion.config.law import LawSection
+from companion.config.file import override
+from companion.config.law import LawSection, overridden
 from companion.config.reference import KINDS
 
 Section = dict[str, Any]
@@ -25,6 +26,15 @@ class Named(Protocol):
 def read_named(data: Any, beside: Path) -> Any:
     """The plain content of a file with all that its sections name read (see `BaseReference.read`). Raises ConfigError."""
     return _each_section(data, lambda named, section, where: named.read(section, where, beside))
+
+
+def with_overrides(data: Any, overrides: Sequence[str], example: str) -> Any:
+    """`override`; and where it sets the name of a law, what belongs to that law. Raises ConfigError."""
+    data = override(data, overrides, example)
+    for holder in (data, data.get("fleet")) if isinstance(data, dict) else ():
+        if isinstance(holder, dict) and isinstance(holder.get("law"), dict):
+            holder["law"] = overridden(holder["law"])
+    return data
 
 
 def carried(data: Any, folder: Path) -> Any:

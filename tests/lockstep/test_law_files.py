@@ -11,6 +11,7 @@ from common import ROOT
 from companion.cli.main import main
 from companion.config.file import ConfigError
 from lockstep_fleet import CommandedFlight
+from sitl.api import load
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.report.progress import FlightProgress
@@ -91,3 +92,12 @@ def test_a_file_of_another_content_than_wanted_is_refused(tmp_path: Path) -> Non
     path = written(tmp_path)
     with pytest.raises(ConfigError, match=r"fleet\.law\.sha256: shares\.py has [0-9a-f]{64}, which is another one"):
         load_scenario(path, [f"fleet.law.sha256='{'0' * 64}'"])
+
+
+def test_another_law_leaves_the_file_and_its_parameters_behind(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    assert load(path, law="cooperative").fleet.law.file is None
+    named = load_scenario(path, ["fleet.law.name=cooperative"]).fleet.law
+    assert (named.file, named.sha256, named.parameters) == (None, None, {})
+    back = load(FOUR, {"fleet.law.name": str(path.parent / "shares.py")}).fleet.law
+    assert (back.name, back.file) == ("shares", str(path.parent / "shares.py"))
