@@ -72,14 +72,22 @@ class ConfigError(UnusableError):
     def __str__(self) -> str:
         return "\n".join(self.lines)
 
-    @classmethod
-    def of(cls, errors: Sequence[ConfigError]) -> ConfigError:
+    def __reduce__(self) -> tuple[Callable[[tuple[str, ...]], ConfigError], tuple[tuple[str, ...]]]:
+        """Out of a process that flies a batch: an exception that cannot be restored would end all of them."""
+        return _of_lines, (self.lines,)
+
+    @staticmethod
+    def of(errors: Sequence[ConfigError]) -> ConfigError:
         """The error with the lines of all these."""
-        error = cls("", "", "")
         lines = tuple(line for one in errors for line in one.lines)
         more = (f"and {len(lines) - MOST_LINES} more errors",) if len(lines) > MOST_LINES else ()
-        error.lines = lines[:MOST_LINES] + more
-        return error
+        return _of_lines(lines[:MOST_LINES] + more)
+
+
+def _of_lines(lines: tuple[str, ...]) -> ConfigError:
+    error = ConfigError("", "", "")
+    error.lines = lines
+    return error
 
 
 def refuse(file: Path | str, problems: Iterable[Problem]) -> None:

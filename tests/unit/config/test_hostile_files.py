@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 
@@ -82,3 +83,8 @@ def test_no_character_of_a_foreign_text_controls_the_terminal(character: str) ->
     assert str(error) == "fleet?.yaml: field?: value?"
     record = logging.LogRecord("x", logging.INFO, "x", 1, "from %s", (f"a{character}b",), None)
     assert PrintableFormatter().format(record) == "from a?b"
+
+
+def test_an_error_comes_out_of_another_process() -> None:
+    error = ConfigError.of([ConfigError("a.yaml", "x", "first"), ConfigError("b.yaml", "", "second")])
+    assert pickle.loads(pickle.dumps(error)).lines == error.lines == ("a.yaml: x: first", "b.yaml: second")
