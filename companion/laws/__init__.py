@@ -73,12 +73,16 @@ class Neighbour(FormationState, frozen=True, gc=False):
 class Law(Struct, frozen=True, forbid_unknown_fields=True):
     """Base of all laws. `memory` and `publishes`: how many vectors it remembers, and how many a vehicle publishes.
 
+    `weighs`: a neighbour counts with its weight of `batch_weights` alone, so one with an infinite PrC does not count. A batch
+    asks such a law about vehicles with different numbers of neighbours at once.
+
     All methods are pure: the same arguments give the same result, and nothing else is read or kept. `reference` is
     R = [r, r', r''] for a leader, None for a follower; a follower may have no neighbours at all.
     """
 
     memory: ClassVar[int] = 0
     publishes: ClassVar[int] = 0
+    weighs: ClassVar[bool] = False
 
     def acceleration(self, own: Own, neighbours: Sequence[Neighbour], reference: FormationState | None) -> Vector3:
         """The wanted acceleration u_i, m/s^2 in ENU. An exception, or a result that is not finite, ends the agent."""
@@ -111,17 +115,25 @@ def neighbour_weights(prcs: tuple[int, ...], exponent: float = 1.0, ratio: float
     The weights add up to one. There are none without neighbours, where the paper's algorithm would divide by zero.
     """
     # rho^p of the 160th hop is below the smallest float, so hops are counted from the nearest neighbour.
-    return _weights(prcs, exponent, ratio, min(prcs, default=1))
+    shares = _shares(prcs, exponent, ratio, min(prcs, default=1))
+    total = sum(shares)
+    return tuple([share / total for share in shares])
 
 
 def batch_weights(prcs: Sequence[Any], exponent: float = 1.0, ratio: float = 1.0) -> tuple[Any, ...]:
-    """`neighbour_weights` of many vehicles at once: the PrC of each neighbour is an array."""
-    from numpy import minimum  # no agent loads numpy for it
+    """`neighbour_weights` of many vehicles at once: the PrC of each neighbour is an array, infinite where there is none."""
+    if not prcs:
+        return ()
+    from numpy import isinf, minimum, where  # no agent loads numpy for it
 
-    return _weights(prcs, exponent, ratio, minimum.reduce(list(prcs)))
-
-
-def _weights(prcs: Sequence[Any], exponent: float, ratio: float, least: Any) -> tuple[Any, ...]:
-    shares = [prc**-exponent * ratio ** (prc - least) for prc in prcs]
+    absent = isinf(prcs)
+    counted = list(where(absent, 1.0, prcs))  # with a weight of zero
+    shares = _shares(counted, exponent, ratio, minimum.reduce(list(prcs)))
+    shares = [where(none, 0.0, share) for none, share in zip(absent, shares, strict=True)]
     total = sum(shares)
+    total = where(total > 0.0, total, 1.0)
     return tuple([share / total for share in shares])
+
+
+def _shares(prcs: Sequence[Any], exponent: float, ratio: float, least: Any) -> list[Any]:
+    return [prc**-exponent * ratio ** (prc - least) for prc in prcs]

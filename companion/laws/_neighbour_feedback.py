@@ -7,6 +7,7 @@ formation states: x_i - x_j - d_ij = (x_i - d_i0) - (x_j - d_j0).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 from companion.laws import FormationState, Gain, Law, Neighbour, Own, batch_weights, neighbour_weights
 from companion.types.formation import Gains
@@ -20,6 +21,7 @@ class NeighbourFeedback(Law, frozen=True):
     velocity_gain_1_s: k2 of K = [k1, k2], on the velocity error
     """
 
+    weighs: ClassVar[bool] = True
     position_gain_1_s2: Gain = 1.39
     velocity_gain_1_s: Gain = 1.2
 
@@ -80,4 +82,4 @@ class NeighbourFeedback(Law, frozen=True):
             ax, ay, az = ax + c * rvx, ay + c * rvy, az + c * rvz
         k1, k2, g = self.position_gain_1_s2, self.velocity_gain_1_s, self.feedforward
         ux, uy, uz = -k1 * ex - k2 * evx, -k1 * ey - k2 * evy, -k1 * ez - k2 * evz
-        return (ux + g * ax, uy + g * ay, uz + g * az) if g else (ux, uy, uz)
+        return (ux + g * ax, uy + g * ay, uz + g * az)

@@ -11,25 +11,26 @@ from math import radians, tan
 import numpy as np
 
 from companion.analysis.interaction import FloatArray
-from companion.core.consensus.peers import EXTRAPOLATED_MOST_S, EXTRAPOLATED_NEAR_LEADER_S, NEAR_LEADER_PRC
 from companion.types.values import GRAVITY_M_S2
 from sitl.autopilots.autopilot import DT_S
 from sitl.autopilots.types import hover_thrust_norm
 from sitl.batch.bodies import quaternion_of_euler
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.batch.filter import BatchFilter, KeptOffSlots
-from sitl.batch.laws import BatchLaws, References
+from sitl.batch.laws import BatchLaws, Known
 from sitl.batch.packets import (
     ACCELERATION,
     PRC,
     REDUCED_POSITION,
-    SHARE,
+    SLOT,
+    STATE,
+    VALUES,
     VELOCITY,
-    WIDTH,
     Candidates,
     Packets,
     ReceivedPackets,
 )
+from sitl.batch.references import References
 from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
 
@@ -42,6 +43,7 @@ class Agents:
         scenarios: Sequence[Scenario],
         columns: Columns,
         laws: BatchLaws,
+        slot_enu_m: FloatArray,
         references: References,
         candidates: Candidates,
         telemetry: FloatArray,
@@ -52,16 +54,20 @@ class Agents:
         self._candidates = candidates
         self._commands = AttitudeCommands(scenarios, columns, DT_S * TELEMETRY_STEPS)
         self._commands.open_at(telemetry[6:9])
-        self._hold_altitude_m = telemetry[2].copy()
-        slots = laws.slot_enu_m.T
+        self._altitude = AltitudeHold(scenarios, columns, telemetry[2])
+        self._commanded_enu_m_s2 = np.zeros((3, columns.count))
+        self._slot_enu_m = slot_enu_m
+        slots = slot_enu_m.T
         self._slots_apart_m = slots[candidates.sender] - slots[:, None, :] if candidates.by_range else np.zeros(0)
-        packets = np.zeros((WIDTH, columns.count))
-        packets[REDUCED_POSITION], packets[VELOCITY] = telemetry[:3] - laws.slot_enu_m, telemetry[3:6]
+        packets = np.zeros((VALUES + 3 * laws.values, columns.count))
+        packets[REDUCED_POSITION], packets[VELOCITY] = telemetry[:3] - slot_enu_m, telemetry[3:6]
+        packets[SLOT] = slot_enu_m
         self._members = self._first_members(packets)
         packets[PRC] = self._first_prcs()
-        packets[SHARE] = laws.shares(packets[PRC], slice(0, columns.count))
         self._packets = Packets(scenarios, columns, candidates, packets)
-        self._filter = BatchFilter(scenarios, columns, laws.slot_enu_m, telemetry)
+        if laws.values:
+            self._publish_first(packets)
+        self._filter = BatchFilter(scenarios, columns, slot_enu_m, telemetry)
         self._kept_off = KeptOffSlots(scenarios, columns)
 
     def targets(self, group: slice) -> FloatArray:
@@ -72,29 +78,25 @@ class Agents:
         """One tick of the agents of this phase, at `reference_s` of the RFT: (5, G) quaternion and thrust."""
         group, laws = self._columns.groups[phase], self._laws
         own = telemetry[:6].copy()
-        own[:3] -= laws.slot_enu_m[:, group]
+        own[:3] -= self._slot_enu_m[:, group]
         used = self._from_neighbours(group, own[:3], self._packets.receive(tick, group))
-        packets = self._packets.packets(used)
-        prcs = laws.next_prcs(packets[:, :, PRC], used.fresh, group)
-        shares = laws.by_hops(packets[:, :, SHARE], packets[:, :, PRC], used.fresh, group)
-        weighted_sum, has_neighbours = _weighted_sum(used, packets, shares)
-        leaders, reference = self._references.leaders[phase], self._references.at(phase, reference_s)
-        hold_m = self._hold_altitude_m
-        wanted = laws.acceleration(group, own, hold_m, weighted_sum, has_neighbours, leaders, reference)
+        prcs = self._next_prcs(self._packets.prcs(used.indices), used.fresh, group)
+        known = self._known(group, own, used, self._references.at(phase, reference_s))
+        wanted = laws.accelerations(known)
+        self._altitude.hold(wanted, telemetry, group)
         acceleration = wanted.copy()
         self._commands.limit(acceleration, group)
         changed = self._filter.step(tick, group, telemetry, wanted, acceleration)
         if changed.places.size:
             self._commands.limit(changed.acceleration_enu_m_s2, group.start + changed.places)
             acceleration[:, changed.places] = changed.acceleration_enu_m_s2
-        sent = np.empty((WIDTH, prcs.size))
-        sent[:6], sent[ACCELERATION], sent[PRC] = own, acceleration, prcs
-        sent[SHARE] = laws.shares(prcs, group)
+        self._commanded_enu_m_s2[:, group] = acceleration
         self._filter.send(tick, group, telemetry, acceleration)
-        target = np.where(has_neighbours, weighted_sum, np.nan)
-        target[:, leaders] = reference
-        kept_off, rft = self._kept_off.published(tick, group, changed, own, target)
-        sent[:9, kept_off] = rft
+        sent = np.empty((VALUES + 3 * laws.values, prcs.size))
+        sent[:6], sent[ACCELERATION], sent[PRC], sent[SLOT] = own, acceleration, prcs, self._slot_enu_m[:, group]
+        kept_off, rft = self._kept_off.published(tick, group, changed, own, lambda place: laws.target(known, place))
+        sent[STATE, kept_off] = rft
+        sent[VALUES:] = laws.published(known, sent[STATE])
         self._packets.send(tick, group, sent, own)
         return self._commands.admitted(acceleration, telemetry[6], telemetry[7], group)
 
@@ -121,6 +123,30 @@ class Agents:
         self._members[group] = members
         return received.only(members)
 
+    def _publish_first(self, packets: FloatArray) -> None:
+        """What the laws publish after some time of hovering. `packets` (rows, B n) are those before."""
+        every, fresh = slice(0, self._columns.count), self._members
+        used = ReceivedPackets(self._candidates.sender, fresh, np.zeros(fresh.shape))
+        references = [self._references.at(phase, 0.0) for phase in range(TELEMETRY_STEPS)]
+        for _ in range(self._columns.vehicles):
+            known = self._known(every, packets[:6], used, np.concatenate(references, axis=1))
+            packets[VALUES:] = self._laws.published(known, packets[STATE])
+            self._packets.start(packets)
+
+    def _known(self, group: slice, own: FloatArray, used: ReceivedPackets, reference: FloatArray) -> Known:
+        """What the laws of this group know; `own` (6, G) is a vehicle's position minus its slot, and its velocity."""
+        if (used.fresh[:, 1:] & ~used.fresh[:, :-1]).any():
+            used = used.only(used.fresh)
+        state = np.concatenate([own, self._commanded_enu_m_s2[:, group]])
+        return self._laws.known(group, state, used, self._packets, reference)
+
+    def _next_prcs(self, neighbour_prcs: FloatArray, members: BoolArray, group: slice) -> FloatArray:
+        """Algorithm 1: PrCs (G,) after one tick from `neighbour_prcs` and `members` (G, K)."""
+        n = float(self._columns.vehicles)
+        prcs = np.minimum(np.where(members, neighbour_prcs, n).min(axis=1) + 1.0, n)
+        prcs[self._laws.is_leader[group]] = 1.0
+        return np.asarray(prcs)
+
     def _in_range(self, group: slice, own_enu_m: FloatArray, others_enu_m: FloatArray) -> BoolArray:
         """`own_enu_m` (3, G), `others_enu_m` (G, K, 3): positions minus slots."""
         apart_m = others_enu_m - own_enu_m.T[:, None, :]
@@ -144,26 +170,27 @@ class Agents:
         all_columns, n = slice(0, self._columns.count), self._columns.vehicles
         prcs = np.full(self._columns.count, float(n))
         for _ in range(n):
-            prcs = self._laws.next_prcs(prcs[self._candidates.sender], self._members, all_columns)
+            prcs = self._next_prcs(prcs[self._candidates.sender], self._members, all_columns)
         return prcs
 
 
-def _weighted_sum(used: ReceivedPackets, packets: FloatArray, shares: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Algorithm 2: weighted sums (9, G) over the neighbours, and whether a vehicle has any (G,).
+class AltitudeHold:
+    """The vehicles that hold their first altitude, whatever the law wants."""
 
-    The rows are positions minus slots, velocities and accelerations, extrapolated as `formation_state_at` does.
-    """
-    total = shares.sum(axis=1)
-    has_neighbours = total > 0.0
-    weights = shares / np.where(has_neighbours, total, 1.0)[:, None]
-    sums = np.matmul(weights[:, None, :], packets[:, :, :9])[:, 0].T
-    near_leader = packets[:, :, PRC] <= NEAR_LEADER_PRC
-    age_s = np.minimum(used.age_s, np.where(near_leader, EXTRAPOLATED_NEAR_LEADER_S, EXTRAPOLATED_MOST_S))
-    over_age, over_square = (weights * age_s)[:, None, :], (weights * (0.5 * age_s * age_s))[:, None, :]
-    velocity, acceleration = packets[:, :, VELOCITY], packets[:, :, ACCELERATION]
-    sums[REDUCED_POSITION] += (np.matmul(over_age, velocity) + np.matmul(over_square, acceleration))[:, 0].T
-    sums[VELOCITY] += np.matmul(over_age, acceleration)[:, 0].T
-    return sums, has_neighbours
+    def __init__(self, scenarios: Sequence[Scenario], columns: Columns, altitude_m: FloatArray) -> None:
+        laws = [scenario.fleet.law for scenario in scenarios]
+        self._altitude_m = altitude_m.copy()
+        self._holds = columns.spread([float(law.altitude == "hold") for law in laws]) > 0.0
+        self._k1 = columns.spread([law.altitude_hold_gains.position_1_s2 for law in laws])
+        self._k2 = columns.spread([law.altitude_hold_gains.velocity_1_s for law in laws])
+
+    def hold(self, acceleration: FloatArray, telemetry: FloatArray, group: slice) -> None:
+        """`feedback` of companion.core.consensus.law on z of (3, G), in place."""
+        holds = self._holds[group]
+        if holds.any():
+            climb_m = telemetry[2] - self._altitude_m[group]
+            vertical = -self._k1[group] * climb_m - self._k2[group] * telemetry[5]
+            np.copyto(acceleration[2], vertical, where=holds)
 
 
 class AttitudeCommands:

@@ -7,14 +7,20 @@ airspace or of a speed. For these alone the filter of the core decides, with all
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from math import inf
+from math import inf, tan
 
 import numpy as np
 
 from companion.analysis.interaction import FloatArray
-from companion.assembly import bounds_of, safety_filter_of, separation_settings_of, vertical_braking_m_s2
+from companion.assembly import (
+    bounds_of,
+    output_limits_of,
+    safety_filter_of,
+    separation_settings_of,
+    vertical_braking_m_s2,
+)
 from companion.core.consensus.kept_off import KeptOff
 from companion.core.filter.filter import (
     BOUNDARY_RESPONSE_1_S,
@@ -29,12 +35,13 @@ from companion.core.filter.filter import (
     SafetyFilter,
 )
 from companion.core.filter.motion import Ahead, Other
-from companion.core.filter.solver import MET_M_S2, NEVER_ACTIVE_M_S2, VEHICLE
+from companion.core.filter.solver import MET_M_S2, VEHICLE
 from companion.core.filter.vehicles import Barrier, Separation
+from companion.geometry.curves import approach_speed
 from companion.geometry.formations import HEIGHT_WEIGHT
 from companion.types.autopilot import VehicleState
 from companion.types.formation import FlownSlot, FormationState
-from companion.types.values import ZERO3, Vector3
+from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.batch.nearby import AskedOfPairs, BatchSeparation, Moving, Nearby, Pairs, approach_speeds, position_error_of
@@ -64,6 +71,7 @@ class BatchFilter:
         self._nearby = Nearby(scenarios, columns, telemetry)
         self._separation = BatchSeparation(scenarios, columns, slot_enu_m)
         self._bounds = BatchBounds(scenarios, columns)
+        self._flyable = Flyable(scenarios, columns)
         self._singles = Singles(scenarios, columns, slot_enu_m)
         self._pressed = np.zeros(columns.count, dtype=np.bool_)
 
@@ -81,23 +89,21 @@ class BatchFilter:
         places = np.flatnonzero(looked_at)
         if not places.size:
             return ChangedVehicles(places, np.zeros((3, 0)), np.zeros(0))
-        most_m_s2 = np.where(looked_at, np.maximum(most_m_s2, -NEVER_ACTIVE_M_S2), -np.inf)
-        pairs = self._nearby.pairs(
-            group, heard, self._separation.may_ask(group, heard, moving, most_m_s2) & looked_at[:, None]
-        )
+        pairs = self._nearby.pairs(group, heard, looked_at[:, None])
         asked = self._separation.asked(pairs, moving)
-        matters = (asked.least_m_s2 >= NEVER_ACTIVE_M_S2) | self._separation.within(pairs, moving)
+        matters = self._flyable.may_violate(pairs, asked) | self._separation.within(pairs, moving)
         matters |= _violated(pairs, asked, wanted_enu_m_s2, possible_enu_m_s2)
         near = self._singles.near(pairs, asked, np.flatnonzero(matters))
-        flown, removed = np.empty((3, places.size)), np.empty(places.size)
         rows = [moving.now, moving.position_enu_m, moving.velocity_enu_m_s, wanted_enu_m_s2]
         states = np.concatenate(rows)[:, places].T.tolist()
-        for index, (place, state) in enumerate(zip(places.tolist(), states, strict=True)):
+        allowed: list[tuple[float, ...]] = []
+        for place, state in zip(places.tolist(), states, strict=True):
             column = group.start + place
             now_s = (tick * TELEMETRY_STEPS + self._singles.phase_steps[column]) * DT_S
             filtered, self._pressed[column] = self._singles.filtered(column, now_s, state, near[place])
-            flown[:, index], removed[index] = filtered.acceleration_enu_m_s2, filtered.removed_accel_m_s2
-        return ChangedVehicles(places, flown, removed)
+            allowed.append((*filtered.acceleration_enu_m_s2, filtered.removed_accel_m_s2))
+        table = np.array(allowed).T
+        return ChangedVehicles(places, table[:3], table[3])
 
     def send(self, tick: int, group: slice, telemetry: FloatArray, commanded_enu_m_s2: FloatArray) -> None:
         """Publish what these vehicles do; their commands (3, G) are those within the limits."""
@@ -187,6 +193,23 @@ class _Single:
     close: set[int | str] = field(default_factory=set)
 
 
+class Flyable:
+    """The accelerations that tilt and thrust allow. `most_m_s2` (B n,): none is larger."""
+
+    def __init__(self, scenarios: Sequence[Scenario], columns: Columns) -> None:
+        limits = [output_limits_of(scenario.fleet) for scenario in scenarios]
+        level = [GRAVITY_M_S2 * e.max_thrust_ratio * tan(e.max_tilt_rad) for e in limits]
+        vertical = [GRAVITY_M_S2 * max(e.max_thrust_ratio - 1.0, 1.0 - e.min_thrust_ratio) for e in limits]
+        self._level_m_s2, self._vertical_m_s2 = columns.spread(level), columns.spread(vertical)
+        self.most_m_s2 = np.hypot(self._level_m_s2, self._vertical_m_s2)
+
+    def may_violate(self, pairs: Pairs, asked: AskedOfPairs) -> BoolArray:
+        """Whether one of them may violate what a pair asks (P,)."""
+        level, own = np.hypot(asked.normal[0], asked.normal[1]), pairs.own
+        most_m_s2 = self._level_m_s2[own] * level + self._vertical_m_s2[own] * np.abs(asked.normal[2])
+        return np.asarray(asked.least_m_s2 > -most_m_s2)
+
+
 class BatchBounds:
     """Where the speed limits, the ground, the box of the fence or what else is in the airspace may matter."""
 
@@ -208,9 +231,13 @@ class BatchBounds:
         self._level_m_s = columns.spread([e.max_speed_m_s for e in speeds])
         self._climb_m_s = columns.spread([e.max_climb_m_s for e in speeds])
         self._descent_m_s = columns.spread([e.max_descent_m_s for e in speeds])
+        self._most_clearance_m, self._least_braking_m_s2 = self._clearance_m.max(), self._braking_m_s2.min()
+        self._least_limit_m_s = float(min(self._level_m_s.min(), self._climb_m_s.min(), self._descent_m_s.min()))
 
     def matter(self, group: slice, moving: Moving, wanted: FloatArray, possible: FloatArray) -> BoolArray:
         """Whether they may for these accelerations (G,). Polygons and obstacles always may."""
+        if self._is_clear(group, moving, wanted):
+            return ~self._is_box[group]
         position, velocity = moving.position_enu_m, moving.velocity_enu_m_s
         gaps_m = np.concatenate(
             [
@@ -231,6 +258,28 @@ class BatchBounds:
         matter |= ~self._is_box[group]
         return np.asarray(matter)
 
+    def _is_clear(self, group: slice, moving: Moving, wanted: FloatArray) -> bool:
+        """Whether none of them matters even to the nearest, the fastest and the largest acceleration of the group at once."""
+        position, velocity = moving.position_enu_m, moving.velocity_enu_m_s
+        speed_m_s, most_m_s2 = (float(np.sqrt(np.square(a).sum(axis=0).max())) for a in (velocity, wanted))
+        sinks_m_s, sinks_m_s2 = max(0.0, -float(velocity[2].min())), max(0.0, -float(wanted[2].min()))
+        low = (position - self._low_enu_m[:, group]).min(axis=1)
+        high = (self._high_enu_m[:, group] - position).min(axis=1)
+        below_m = min(low[2], (position[2] - self._floor_m[group]).min())
+        ways = (
+            (min(*low[:2], *high), speed_m_s, most_m_s2),
+            (below_m, sinks_m_s, sinks_m_s2),
+        )
+        for gap_m, towards_m_s, towards_m_s2 in ways:
+            allowed_m_s, _ = approach_speed(
+                float(gap_m) - self._most_clearance_m, self._least_braking_m_s2, SLOPE_1_S, FASTEST_RETURN_M_S
+            )
+            # The slope of the approach speed is SLOPE_1_S at most.
+            left_m_s2 = BOUNDARY_RESPONSE_1_S * (allowed_m_s - towards_m_s) - SLOPE_1_S * towards_m_s
+            if left_m_s2 < towards_m_s2:
+                return False
+        return SPEED_RESPONSE_1_S * (self._least_limit_m_s - speed_m_s) > most_m_s2
+
     def _too_fast(self, group: slice, velocity: FloatArray, acceleration: FloatArray) -> BoolArray:
         """Whether this acceleration exceeds what the speed limits allow at this velocity."""
         up, level_m_s = velocity[2], np.hypot(velocity[0], velocity[1])
@@ -246,33 +295,37 @@ class KeptOffSlots:
     """The RFT that vehicles publish which the filter keeps off their slots."""
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns) -> None:
-        self._columns = columns
+        self._phase_steps: list[int] = columns.phase_steps.tolist()
         self._holds = columns.spread([scenario.fleet.law.altitude == "hold" for scenario in scenarios]) > 0.0
         self._kept_off = [KeptOff() for _ in range(columns.count)]
         self._is_kept_off = np.zeros(columns.count, dtype=np.bool_)
 
     def published(
-        self, tick: int, group: slice, changed: ChangedVehicles, own: FloatArray, wanted: FloatArray
-    ) -> tuple[IntArray, FloatArray]:
+        self,
+        tick: int,
+        group: slice,
+        changed: ChangedVehicles,
+        own: FloatArray,
+        target: Callable[[int], FormationState | None],
+    ) -> tuple[list[int], FloatArray]:
         """The vehicles of this group that publish an RFT, and these RFTs (9, C).
 
-        `own` (6, G): position minus slot, and velocity. `wanted` (9, G): the RFT that the law steers to, NaN without any.
+        `own` (6, G): position minus slot, and velocity. `target`: the RFT that the law of a vehicle steers to, if any.
         """
         removed = np.zeros(own.shape[1])
         removed[changed.places] = changed.removed_m_s2
+        candidates = np.flatnonzero((removed > 0.0) | self._is_kept_off[group])
         places: list[int] = []
-        for place in np.flatnonzero((removed > 0.0) | self._is_kept_off[group]).tolist():
+        rfts: list[tuple[float, ...]] = []
+        rows = (candidates.tolist(), removed[candidates].tolist(), own[:, candidates].T.tolist())
+        for place, taken_m_s2, (x, y, z, *velocity) in zip(*rows, strict=True):
             column = group.start + place
-            kept_off = self._kept_off[column]
-            now_s = (tick * TELEMETRY_STEPS + self._columns.phase_steps[column]) * DT_S
-            if kept_off.intervened(now_s, removed[place]) and not np.isnan(wanted[0, place]):
-                x, y, z, vx, vy, vz = own[:, place].tolist()
-                tx, ty, tz, tvx, tvy, tvz, tax, tay, taz = wanted[:, place].tolist()
-                if self._holds[column]:  # no height is wanted of the slot
-                    z = tz
-                target = FormationState((tx, ty, tz), (tvx, tvy, tvz), (tax, tay, taz))
-                if kept_off.rft(now_s, FormationState((x, y, z), (vx, vy, vz)), target):
+            kept_off, now_s = self._kept_off[column], (tick * TELEMETRY_STEPS + self._phase_steps[column]) * DT_S
+            if kept_off.intervened(now_s, taken_m_s2) and (rft := target(place)):
+                height_m = rft.position_enu_m[2] if self._holds[column] else z  # no height is wanted of the slot
+                vx, vy, vz = velocity
+                if kept_off.rft(now_s, FormationState((x, y, height_m), (vx, vy, vz)), rft):
                     places.append(place)
+                    rfts.append((*rft.position_enu_m, *rft.velocity_enu_m_s, *rft.acceleration_enu_m_s2))
             self._is_kept_off[column] = kept_off.is_kept_off
-        which = np.array(places, dtype=np.int64)
-        return which, wanted[:, which]
+        return places, np.array(rfts).reshape(-1, 9).T

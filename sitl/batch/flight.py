@@ -10,8 +10,8 @@ same distributions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,9 @@ from sitl.autopilots.autopilot import DT_S
 from sitl.batch.agents import Agents
 from sitl.batch.autopilots import Autopilots
 from sitl.batch.columns import BoolArray, Columns, columns_of
-from sitl.batch.laws import BatchLaws, References
+from sitl.batch.laws import BatchLaws
 from sitl.batch.packets import candidates_of
+from sitl.batch.references import References
 from sitl.flight.files import ids_of
 from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
@@ -38,6 +39,7 @@ LEFT_OUT = (
     " other one instead.",
     "The separation filter does not keep off a vehicle that was not heard for peers.max_age_s, nor traffic.",
     "Yaw stays as it was.",
+    "A formation whose law fails is given up as a whole; in flight the agent of that vehicle alone ends, by a hand-over.",
 )
 PROGRESS_EVERY_S = 1.0  # of virtual time
 
@@ -50,6 +52,8 @@ class BatchFlight:
     `reference_enu_m` is r, (ticks, 3) where all formations have the same and (ticks, B, 3) otherwise. `neighbours`
     (ticks, B, n, n) is whether i uses j as a neighbour, None unless requested. `commanded_m_s2` (ticks, B, n) is the size of
     the acceleration that the last attitude and thrust command, float32.
+    `failures`: why a formation ended, by its index; its positions are NaN from then on. `remarks`: what the user should know of
+    how the laws were flown.
     """
 
     times_s: FloatArray
@@ -58,6 +62,8 @@ class BatchFlight:
     reference_enu_m: FloatArray
     neighbours: BoolArray | None
     commanded_m_s2: NDArray[np.float32]
+    failures: Mapping[int, str] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
 
     def reference_of_formations_enu_m(self) -> FloatArray:
         """r as (ticks, B or 1, 3)."""
@@ -99,13 +105,16 @@ def fly_batch(
     positions = np.empty((samples, columns.formations, n, 3), dtype=np.float32)
     commanded = np.empty((samples, columns.formations, n), dtype=np.float32)
     neighbours = np.zeros((samples, columns.formations, n, n), dtype=np.bool_) if keep_neighbours else None
-    reported_s = 0.0
+    reported_s, failures = 0.0, dict[int, str]()
     for sample in range(samples):
         if sample:
             for _ in range(stride):
                 simulation.step()
         positions[sample] = simulation.positions_enu_m()
         commanded[sample] = simulation.commanded_m_s2()
+        for formation, text in simulation.laws.failures.items():
+            failures.setdefault(formation, f"ended after {simulation.time_s:.2f} s: {text}")
+            positions[sample, formation] = np.nan
         if neighbours is not None:
             neighbours[sample] = simulation.neighbours()
         if progress and simulation.time_s >= reported_s + PROGRESS_EVERY_S:
@@ -119,6 +128,8 @@ def fly_batch(
         reference_enu_m=simulation.references.positions_enu_m(begin.reference_s + times_s),
         neighbours=neighbours,
         commanded_m_s2=commanded,
+        failures=failures,
+        remarks=tuple(simulation.laws.remarks),
     )
 
 
@@ -139,6 +150,12 @@ def starts_at_rest(scenarios: Sequence[Scenario]) -> BatchStart:
     return BatchStart(positions, np.zeros_like(positions))
 
 
+def slots_by_vehicle_enu_m(scenarios: Sequence[Scenario]) -> FloatArray:
+    """Slots (B, n, 3) by rising ids."""
+    members = [sorted(scenario.fleet.vehicles, key=lambda member: member.id) for scenario in scenarios]
+    return np.array([[member.slot_enu_m for member in row] for row in members], dtype=np.float64)
+
+
 class Simulation:
     """A batch in steps of DT_S. The agent of a vehicle decides in the steps of the vehicle's phase."""
 
@@ -146,15 +163,16 @@ class Simulation:
         self._columns = columns
         self._steps = 0
         self._reference_s = start.reference_s
-        laws = BatchLaws(scenarios, columns)
-        self.slots_enu_m = laws.slots_by_vehicle_enu_m
-        self.references = References(scenarios, columns, laws.is_leader)
+        self.slots_enu_m = slots_by_vehicle_enu_m(scenarios)
+        slot_enu_m = columns.in_columns(self.slots_enu_m)
+        self.laws = BatchLaws(scenarios, columns, slot_enu_m)
+        self.references = References(scenarios, columns, self.laws.is_leader)
         self._autopilots = Autopilots(
             scenarios, columns, columns.in_columns(start.positions_enu_m), columns.in_columns(start.velocities_enu_m_s)
         )
         all_columns = slice(0, columns.count)
         candidates, telemetry = candidates_of(scenarios, columns), self._autopilots.telemetry(all_columns)
-        self._agents = Agents(scenarios, columns, laws, self.references, candidates, telemetry)
+        self._agents = Agents(scenarios, columns, self.laws, slot_enu_m, self.references, candidates, telemetry)
         self._autopilots.begin(self._agents.targets(all_columns))
 
     @property

@@ -1,143 +1,385 @@
-"""companion.core.consensus.law for many vehicles: packets of the neighbours, weights and reference -> acceleration.
+"""The formation laws of a batch: asked as `companion.core.consensus.law` asks them, but about many vehicles at once.
 
-Each distinct reference trajectory is evaluated once per time.
+Vehicles with the same class of law, the same role and as many neighbours are asked about together: each number of `Own`,
+`Neighbour` and the reference is an array then, and so is a parameter in which their laws differ. A law that cannot take arrays,
+or gives something else for them, is asked about one vehicle after the other.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import inf
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.analysis.interaction import FloatArray
-from companion.config.law import feedback_law_of
-from companion.config.reference import Reference
-from companion.core.reference.blend import ReferenceTrajectory
+from companion.config.code_file import code_error
+from companion.config.law import LawSection, law_of
+from companion.core.consensus.kept_off import target
+from companion.core.consensus.law import SHORTEST_STEP_S, STEP_S, finite_vectors
+from companion.laws import FormationState, Law, Neighbour, Own
+from companion.laws._trial import MOST_M_S2
 from companion.types.flight import Role
-from companion.types.formation import FormationState
+from companion.types.values import MAX_COORDINATE_M
 from sitl.batch.columns import BoolArray, Columns, IntArray
+from sitl.batch.packets import PRC, STATE, VALUES, Packets, ReceivedPackets
 from sitl.flight.files import known_drag_1_s
-from sitl.flight.scenario import Scenario, reference_of
+from sitl.flight.scenario import Scenario
+
+# Rows of what a vehicle knows of itself: position minus slot, velocity, command, slot, drag, step, and what it remembers.
+DRAG, STEP, MEMORY = 12, 13, 14
+SAMPLE = 16  # vehicles for which a law is asked both ways, once for each number of neighbours
+SHIFT = 1.0  # m, m/s and so on: a formation in its slots tells nothing of a law
+SAME = 1e-9
+FEW = 8  # so many vehicles are asked about sooner one by one; with more neighbours than that they are a cohort of their own
+
+
+class Question(NamedTuple):
+    """What a law is asked: how an answer reads in a message, the method, how many vectors it gives, and up to what."""
+
+    verb: str
+    ask: Callable[[Law, Own, Sequence[Neighbour], FormationState | None], Sequence[Any]]
+    vectors: Callable[[Law], int]
+    most: float
+
+
+U = Question("gives the acceleration", lambda law, *known: (law.acceleration(*known),), lambda _: 1, MOST_M_S2)
+REMEMBER = Question("remembers", lambda law, *known: law.remember(*known), lambda law: law.memory, inf)
+PUBLISH = Question("publishes", lambda law, *known: law.publish(*known), lambda law: law.publishes, MAX_COORDINATE_M)
+
+
+@dataclass(slots=True)
+class LawKind:
+    """Laws of one class in one role that differ in real numbers alone.
+
+    `laws` by formation. `differing`: fields that do, with the value of each formation (B,).
+    """
+
+    laws: dict[int, Law]
+    leads: bool
+    differing: dict[str, FloatArray]
+    in_arrays: bool = True
+    agreed: set[tuple[str, int]] = field(default_factory=set)  # questions and numbers of neighbours
+
+    @property
+    def first(self) -> Law:
+        """Any of them."""
+        return next(iter(self.laws.values()))
+
+    def law(self, formations: IntArray) -> Law:
+        """The law of vehicles of these formations (G,)."""
+        if not self.differing:
+            return self.first
+        return replace(self.first, **{name: values[formations] for name, values in self.differing.items()})
+
+
+class Cohort(NamedTuple):
+    """Vehicles `begin` to `end` of a sorted group, with `seen` neighbours each, the first ones from `first` on.
+
+    Of a law that weighs its neighbours some vehicles have fewer: the others have an infinite PrC.
+    """
+
+    kind: LawKind
+    begin: int
+    end: int
+    seen: int
+    first: int
+
+
+@dataclass(slots=True)
+class Known:
+    """What the vehicles of a group know, sorted into `cohorts`: a row for each number, the last axis is the vehicles.
+
+    `columns` (G,) and `places` (G,) in the group. `own` (rows, G). `neighbours` (rows, P) as packets: for each cohort those of
+    all its vehicles that are first in rising order of ids, then the second. `reference` (9, G).
+    """
+
+    columns: IntArray
+    places: IntArray
+    cohorts: list[Cohort]
+    own: FloatArray
+    neighbours: FloatArray
+    reference: FloatArray
+
+    def together(self, law: Law, cohort: Cohort, end: int) -> tuple[Own, list[Neighbour], FormationState | None]:
+        """What vehicles up to `end` of this cohort know, in arrays that the law cannot change."""
+        size, vehicles = cohort.end - cohort.begin, slice(cohort.begin, end)
+        firsts = range(cohort.first, cohort.first + cohort.seen * size, size)
+        neighbours = [list(self.neighbours[:, at : at + end - cohort.begin]) for at in firsts]
+        own, reference = list(self.own[:, vehicles]), list(self.reference[:, vehicles])
+        return _arguments(law, cohort.kind.leads, own, neighbours, reference)
+
+    def alone(self, law: Law, cohort: Cohort, vehicle: int) -> tuple[Own, list[Neighbour], FormationState | None]:
+        """What one vehicle knows, in floats."""
+        size, at = cohort.end - cohort.begin, cohort.first + vehicle - cohort.begin
+        neighbours = self.neighbours[:, at : at + cohort.seen * size : size].T.tolist() if cohort.seen else []
+        neighbours = [one for one in neighbours if one[PRC] < inf]
+        for one in neighbours:
+            one[PRC] = int(one[PRC])
+        reference = self.reference[:, vehicle].tolist()
+        return _arguments(law, cohort.kind.leads, self.own[:, vehicle].tolist(), neighbours, reference)
+
+    def shifted(self, by: float) -> Known:
+        """Other numbers, but for PrC."""
+        arrays = [a + by * np.sin(np.arange(a.size, dtype=np.float64)).reshape(a.shape) for a in self._arrays]
+        arrays[1][PRC] = self.neighbours[PRC]
+        return Known(self.columns, self.places, self.cohorts, *arrays)
+
+    def locked(self) -> Known:
+        """The same. A law that changes an array in place fails, instead of changing what others know."""
+        for array in self._arrays:
+            array.setflags(write=False)
+        return self
+
+    @property
+    def _arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return self.own, self.neighbours, self.reference
 
 
 class BatchLaws:
-    """Law, role and slot of each column. Arrays per column are (B n,) or (k, B n)."""
+    """The laws of all columns, what they remember, and which formations they have failed.
 
-    def __init__(self, scenarios: Sequence[Scenario], columns: Columns) -> None:
-        laws = [feedback_law_of(scenario.fleet.law) for scenario in scenarios]
-        holds = [scenario.fleet.law.altitude == "hold" for scenario in scenarios]
-        hold_gains = [scenario.fleet.law.altitude_hold_gains for scenario in scenarios]
-        members = [sorted(scenario.fleet.vehicles, key=lambda member: member.id) for scenario in scenarios]
-        leaders = np.array([[float(member.role is Role.LEADER) for member in row] for row in members])
-        slots = np.array([[member.slot_enu_m for member in row] for row in members], dtype=np.float64)
-        self.slots_by_vehicle_enu_m: FloatArray = slots
-        self.slot_enu_m = columns.in_columns(slots)
-        self.is_leader: BoolArray = columns.in_columns(leaders)[0] > 0.0
-        self._exponent = columns.spread([law.exponent for law in laws])
-        self._ratio = columns.spread([law.weight_ratio for law in laws])
-        self._vehicles = columns.vehicles
-        self._k1 = columns.spread([law.position_gain_1_s2 for law in laws])
-        self._k2 = columns.spread([law.velocity_gain_1_s for law in laws])
-        self._feedforward = columns.spread([law.feedforward for law in laws])
-        self._drag_1_s = columns.spread([known_drag_1_s(scenario) for scenario in scenarios])
-        coupled = columns.spread([float(law.leader_uses_neighbours) for law in laws])
-        self._uses_neighbours: FloatArray = np.where(self.is_leader, coupled, 1.0)
-        self._holds: BoolArray = columns.spread([float(hold) for hold in holds]) > 0.0
-        self._hold_k1 = columns.spread([gains.position_1_s2 for gains in hold_gains])
-        self._hold_k2 = columns.spread([gains.velocity_1_s for gains in hold_gains])
+    `memory` and `values`: the most vectors that any of them remembers or publishes. `failures`: what happened, by formation;
+    its vehicles are not asked about any more, and fly without an acceleration. `remarks` are for the user.
+    """
 
-    def shares(self, prcs: FloatArray, group: slice) -> FloatArray:
-        """p^-alpha (G,): the part of its weights that a vehicle can tell its neighbours."""
-        return np.asarray(prcs ** -self._exponent[group])
+    def __init__(self, scenarios: Sequence[Scenario], columns: Columns, slot_enu_m: FloatArray) -> None:
+        self._columns = columns
+        self._ids = [sorted(member.id for member in scenario.fleet.vehicles) for scenario in scenarios]
+        self._sections = [scenario.fleet.law for scenario in scenarios]
+        laws = {b: law_of(section) for b, section in enumerate(self._sections)}
+        self.memory = max(law.memory for law in laws.values())
+        self.values = max(law.publishes for law in laws.values())
+        self.is_leader = is_leader(scenarios, columns)
+        self._kinds: list[LawKind] = []
+        self._kind = np.zeros(columns.count, dtype=np.int64)  # -1: not asked about
+        for alike in _alike(laws):
+            for leads in (False, True):
+                self._kind[np.isin(columns.formation, list(alike)) & (self.is_leader == leads)] = len(self._kinds)
+                self._kinds.append(LawKind(alike, leads, _differing(alike, len(scenarios))))
+        self._weighs = np.array([kind.first.weighs for kind in self._kinds])
+        drag_1_s = columns.spread([known_drag_1_s(scenario) for scenario in scenarios])
+        self._constant = np.vstack([slot_enu_m, drag_1_s])
+        self._memory = np.zeros((3 * self.memory, columns.count))
+        self.failures: dict[int, str] = {}
+        self.remarks: list[str] = []
+        self._alone_sources: set[Path] = set()
 
-    def by_hops(self, shares: FloatArray, prcs: FloatArray, fresh: BoolArray, group: slice) -> FloatArray:
-        """`shares` (G, K) of the neighbours times rho^p, counted from the nearest one; 0 for those that are not `fresh`."""
-        shares = shares * fresh
-        ratio = self._ratio[group]
-        if (ratio == 1.0).all():
-            return np.asarray(shares)
-        least = np.where(fresh, prcs, np.inf).min(axis=1, initial=np.inf)
-        hops = np.where(fresh, prcs - least[:, None], 0.0)
-        return np.asarray(shares * ratio[:, None] ** hops)
-
-    def next_prcs(self, neighbour_prcs: FloatArray, members: BoolArray, group: slice) -> FloatArray:
-        """Algorithm 1: PrCs (G,) after one tick from `neighbour_prcs` and `members` (G, K)."""
-        nearest = np.where(members, neighbour_prcs, float(self._vehicles)).min(axis=1)
-        prcs = np.minimum(nearest + 1.0, float(self._vehicles))
-        prcs[self.is_leader[group]] = 1.0
-        return np.asarray(prcs)
-
-    def acceleration(
+    def known(
         self,
         group: slice,
-        own: FloatArray,
-        hold_altitude_m: FloatArray,
-        weighted_sum: FloatArray,
-        has_neighbours: BoolArray,
-        leaders: IntArray,
+        state: FloatArray,
+        used: ReceivedPackets,
+        packets: Packets,
         reference: FloatArray,
-    ) -> FloatArray:
-        """u_i (3, G) in ENU before any limit.
+    ) -> Known:
+        """`state` (9, G) with the last command, `reference` (9, G). The packets in use are the first of their rows."""
+        kinds, counts = self._kind[group], used.fresh.sum(axis=1)
+        key = kinds * (used.fresh.shape[1] + 1) + np.where(self._weighs[kinds], counts > FEW, counts)
+        places = np.argsort(key, kind="stable")
+        key, counts, indices, age_s = key[places], counts[places], used.indices[places], used.age_s[places]
+        ends = [0, *(np.flatnonzero(np.diff(key)) + 1).tolist(), key.size]
+        cohorts: list[Cohort] = []
+        rows, ages_s, absent = [np.zeros(0, dtype=np.int64)], [np.zeros(0)], [np.zeros(0, dtype=np.bool_)]
+        first = 0
+        for begin, end in pairwise(ends):
+            kind, count = int(kinds[places[begin]]), int(counts[begin:end].max())
+            if kind < 0:
+                continue
+            cohorts.append(Cohort(self._kinds[kind], begin, end, count, first))
+            rows.append(indices[begin:end, :count].T.ravel())
+            ages_s.append(age_s[begin:end, :count].T.ravel())
+            absent.append((np.arange(count)[:, None] >= counts[begin:end]).ravel())
+            first += count * (end - begin)
+        columns = places + group.start
+        step_s = np.full((1, places.size), STEP_S)
+        own = np.concatenate([state[:, places], self._constant[:, columns], step_s, self._memory[:, columns]])
+        neighbours = packets.extrapolated(np.concatenate(rows), np.concatenate(ages_s))
+        neighbours[PRC, np.concatenate(absent)] = inf
+        return Known(columns, places, cohorts, own, neighbours, reference[:, places]).locked()
 
-        `own` (6, G) is a vehicle's position minus its slot, and its velocity. `weighted_sum` (9, G) is the weighted sum over
-        the neighbours of position minus slot, velocity and acceleration command. `reference` (9, L) is R and r'' for the
-        columns `leaders` (L,) of this group.
-        """
-        coupling = self._uses_neighbours[group]
-        error = own * (coupling * has_neighbours + self.is_leader[group])
-        error -= weighted_sum[:6] * coupling
-        error[:, leaders] -= reference[:6]
-        acceleration = error[:3] * -self._k1[group]
-        acceleration -= error[3:] * self._k2[group]
-        if self._feedforward.any():
-            fed_forward = weighted_sum[6:9]
-            fed_forward[:, leaders] = reference[6:9] + reference[3:6] * self._drag_1_s[group][leaders]
-            acceleration += fed_forward * self._feedforward[group]
-        holds = self._holds[group]
-        if holds.any():
-            climb_m = own[2] + self.slot_enu_m[2, group] - hold_altitude_m[group]
-            vertical = -self._hold_k1[group] * climb_m - self._hold_k2[group] * own[5]
-            np.copyto(acceleration[2], vertical, where=holds)
-        return acceleration
+    def accelerations(self, known: Known) -> FloatArray:
+        """u_i (3, G) in ENU before any limit. The laws remember."""
+        accelerations = self._answers(U, known, 3)
+        if self.memory:
+            self._memory[:, known.columns] = self._answers(REMEMBER, known, 3 * self.memory)[:, known.places]
+        return accelerations
+
+    def target(self, known: Known, place: int) -> FormationState | None:
+        """The RFT that the law of a vehicle steers to, by its place in the group."""
+        vehicle = int(np.flatnonzero(known.places == place)[0])
+        for cohort in known.cohorts:
+            if cohort.begin <= vehicle < cohort.end:
+                law = cohort.kind.laws[int(self._columns.formation[known.columns[vehicle]])]
+                return target(law, *known.alone(law, cohort, vehicle)[1:])
+        return None
+
+    def published(self, known: Known, state: FloatArray) -> FloatArray:
+        """What the laws publish in this state (9, G) with the new command; `known` is what `accelerations` had."""
+        if not self.values:
+            return np.zeros((0, known.places.size))
+        own = known.own.copy()
+        own[STATE], own[STEP] = state[:, known.places], SHORTEST_STEP_S
+        own[MEMORY:] = self._memory[:, known.columns]
+        after = Known(known.columns, known.places, known.cohorts, own, known.neighbours, known.reference)
+        return self._answers(PUBLISH, after.locked(), 3 * self.values)
+
+    def _answers(self, question: Question, known: Known, rows: int) -> FloatArray:
+        """(rows, G) in the order of the group; zeros of vehicles that are not asked about."""
+        answers = np.zeros((rows, known.places.size))
+        with np.errstate(all="ignore"):
+            for cohort in known.cohorts:
+                if vectors := question.vectors(cohort.kind.first):
+                    self._answer(question, known, cohort, answers[: 3 * vectors, cohort.begin : cohort.end])
+        if not _flyable(answers, question.most).all():
+            self._answer_again(question, known, answers)
+        in_order = np.empty_like(answers)
+        in_order[:, known.places] = answers
+        return in_order
+
+    def _answer(self, question: Question, known: Known, cohort: Cohort, answers: FloatArray) -> None:
+        """Into `answers` (rows, vehicles of this cohort)."""
+        kind = cohort.kind
+        if kind.in_arrays and cohort.end - cohort.begin > FEW:
+            try:
+                if (question.verb, cohort.seen) not in kind.agreed:
+                    self._compare(question, known, cohort, len(answers))
+                self._together(question, known, cohort, cohort.end, answers)
+                return
+            except Exception as error:  # noqa: BLE001 -- the code of a user
+                self._fly_alone(kind, error)
+        for vehicle in range(cohort.begin, cohort.end):
+            self._answer_alone(question, known, cohort, vehicle, answers[:, vehicle - cohort.begin])
+
+    def _answer_again(self, question: Question, known: Known, answers: FloatArray) -> None:
+        """About the vehicles whose answers cannot be flown, to tell why."""
+        for cohort in known.cohorts:
+            rows = answers[: 3 * question.vectors(cohort.kind.first), cohort.begin : cohort.end]
+            for place in np.flatnonzero(~_flyable(rows, question.most).all(axis=0)).tolist():
+                self._answer_alone(question, known, cohort, cohort.begin + place, rows[:, place])
+
+    def _answer_alone(
+        self, question: Question, known: Known, cohort: Cohort, vehicle: int, answers: FloatArray
+    ) -> None:
+        try:
+            answers[:] = self._alone(question, known, cohort, vehicle, answers.size // 3)
+        except Exception as error:  # noqa: BLE001 -- the code of a user
+            answers[:] = 0.0
+            self._fail(int(known.columns[vehicle]), error)
+
+    def _together(self, question: Question, known: Known, cohort: Cohort, end: int, answers: FloatArray) -> None:
+        """Into `answers` (rows, vehicles up to `end`)."""
+        law = cohort.kind.law(self._columns.formation[known.columns[cohort.begin : end]])
+        row = iter(answers)
+        for x, y, z in question.ask(law, *known.together(law, cohort, end)):
+            next(row)[:], next(row)[:], next(row)[:] = x, y, z
+        if next(row, None) is not None:
+            raise ValueError("too few vectors")
+
+    def _alone(self, question: Question, known: Known, cohort: Cohort, vehicle: int, vectors: int) -> FloatArray:
+        law = cohort.kind.laws[int(self._columns.formation[known.columns[vehicle]])]
+        found = question.ask(law, *known.alone(law, cohort, vehicle))
+        return np.array(finite_vectors(tuple(found), vectors, question.most, question.verb), dtype=np.float64).ravel()
+
+    def _compare(self, question: Question, known: Known, cohort: Cohort, rows: int) -> None:
+        """Raises ValueError where arrays give something else than floats, for the states of now and others."""
+        end = min(cohort.end, cohort.begin + SAMPLE)
+        in_arrays = np.empty((rows, end - cohort.begin))
+        for numbers in (known, known.shifted(SHIFT).locked()):
+            self._together(question, numbers, cohort, end, in_arrays)
+            for place, vehicle in enumerate(range(cohort.begin, end)):
+                try:
+                    alone = self._alone(question, numbers, cohort, vehicle, rows // 3)
+                except Exception:  # noqa: BLE001 -- it may be undefined there
+                    continue
+                if not np.allclose(in_arrays[:, place], alone, rtol=SAME, atol=SAME):
+                    raise ValueError("arrays give other results than numbers")
+        cohort.kind.agreed.add((question.verb, cohort.seen))
+
+    def _fly_alone(self, kind: LawKind, error: Exception) -> None:
+        kind.in_arrays = False
+        source = _source(self._sections[next(iter(kind.laws))])
+        if source not in self._alone_sources:
+            self._alone_sources.add(source)
+            self.remarks.append(f"{code_error(source, error)}; so it is flown vehicle by vehicle, which is slower")
+
+    def _fail(self, column: int, error: Exception) -> None:
+        """End a formation as an agent ends, whose law fails."""
+        formation = int(self._columns.formation[column])
+        vehicle = int(self._columns.order[column]) % self._columns.vehicles
+        text = f"vehicle {self._ids[formation][vehicle]}: {code_error(_source(self._sections[formation]), error)}"
+        self.failures.setdefault(formation, text)
+        self._kind[self._columns.formation == formation] = -1
 
 
-class References:
-    """References of all columns, constant before t = 0. `leaders[g]` (L,) are the columns of group g with a reference."""
-
-    def __init__(self, scenarios: Sequence[Scenario], columns: Columns, is_leader: BoolArray) -> None:
-        kinds: dict[Reference, int] = {}
-        self._trajectories: list[ReferenceTrajectory] = []
-        of_formation = np.zeros(len(scenarios), dtype=np.int64)
-        for b, scenario in enumerate(scenarios):
-            if scenario.reference not in kinds:
-                kinds[scenario.reference] = len(self._trajectories)
-                self._trajectories.append(reference_of(scenario))
-            of_formation[b] = kinds[scenario.reference]
-        self._of_formation = of_formation
-        self.leaders: list[IntArray] = []
-        self._kinds: list[IntArray] = []  # the distinct references of each group
-        self._which: list[IntArray] = []  # for each leader, the index of its reference in `_kinds`
-        of_column = of_formation[columns.formation]
-        for group in columns.groups:
-            leaders = np.flatnonzero(is_leader[group])
-            distinct, which = np.unique(of_column[group][leaders], return_inverse=True)
-            self.leaders.append(leaders)
-            self._kinds.append(distinct)
-            self._which.append(which)
-
-    def at(self, group: int, reference_s: float) -> FloatArray:
-        """R and r'' (9, L) for the leaders of this group."""
-        rows = np.array([_row(self._trajectories[kind](max(0.0, reference_s))) for kind in self._kinds[group].tolist()])
-        return rows.reshape(-1, 9)[self._which[group]].T
-
-    def positions_enu_m(self, reference_s: FloatArray) -> FloatArray:
-        """r (ticks, 3) where all formations have the same, else (ticks, B, 3)."""
-        times_s = np.maximum(0.0, reference_s).tolist()
-        of_kind = np.array(
-            [[reference(time_s).position_enu_m for reference in self._trajectories] for time_s in times_s]
-        )
-        return of_kind[:, 0] if len(self._trajectories) == 1 else of_kind[:, self._of_formation]
+def is_leader(scenarios: Sequence[Scenario], columns: Columns) -> BoolArray:
+    """Whether each column leads (B n,)."""
+    members = [sorted(scenario.fleet.vehicles, key=lambda member: member.id) for scenario in scenarios]
+    leaders = np.array([[float(member.role is Role.LEADER) for member in row] for row in members])
+    return np.asarray(columns.in_columns(leaders)[0] > 0.0)
 
 
-def _row(place: FormationState) -> tuple[float, ...]:
-    return (*place.position_enu_m, *place.velocity_enu_m_s, *place.acceleration_enu_m_s2)
+def _alike(laws: dict[int, Law]) -> Iterator[dict[int, Law]]:
+    """Laws of one class that differ in real numbers alone."""
+    alike: dict[tuple[object, ...], dict[int, Law]] = {}
+    for b, law in laws.items():
+        fixed = [repr(value) for name in law.__struct_fields__ if type(value := getattr(law, name)) is not float]
+        alike.setdefault((type(law), *fixed), {})[b] = law
+    yield from alike.values()
+
+
+def _differing(laws: dict[int, Law], formations: int) -> dict[str, FloatArray]:
+    one = next(iter(laws.values()))
+    differing = [name for name in one.__struct_fields__ if len({repr(getattr(law, name)) for law in laws.values()}) > 1]
+    of = [laws.get(b, one) for b in range(formations)]
+    return {name: np.array([getattr(law, name) for law in of], dtype=np.float64) for name in differing}
+
+
+def _flyable(answers: FloatArray, most: float) -> BoolArray:
+    return np.asarray(np.isfinite(answers) & (np.abs(answers) <= most))
+
+
+def _source(section: LawSection) -> Path:
+    return Path(section.file or section.name)
+
+
+def _arguments(
+    law: Law, leads: bool, own: Sequence[Any], neighbours: Sequence[Sequence[Any]], reference: Sequence[Any]
+) -> tuple[Own, list[Neighbour], FormationState | None]:
+    """What a law is asked with, of rows of arrays or floats."""
+    position, velocity, acceleration, slot = _vectors(own[:DRAG])
+    memory = _vectors(own[MEMORY : MEMORY + 3 * law.memory])
+    return (
+        Own(position, velocity, acceleration, slot, own[DRAG], own[STEP], memory),
+        [_neighbour(*one[: VALUES + 3 * law.publishes]) for one in neighbours],
+        FormationState(*_vectors(reference)) if leads else None,
+    )
+
+
+def _neighbour(
+    x: Any,
+    y: Any,
+    z: Any,
+    vx: Any,
+    vy: Any,
+    vz: Any,
+    ax: Any,
+    ay: Any,
+    az: Any,
+    prc: Any,
+    sx: Any,
+    sy: Any,
+    sz: Any,
+    age: Any,
+    *values: Any,
+) -> Neighbour:
+    return Neighbour((x, y, z), (vx, vy, vz), (ax, ay, az), prc, (sx, sy, sz), age, _vectors(values) if values else ())
+
+
+def _vectors(rows: Sequence[Any]) -> tuple[Any, ...]:
+    return tuple(zip(rows[::3], rows[1::3], rows[2::3], strict=True))

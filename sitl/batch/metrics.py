@@ -48,7 +48,8 @@ def batch_figures(flight: BatchFlight) -> BatchFigures:
 
 def settle_times_s(times_s: FloatArray, error_m: FloatArray) -> FloatArray:
     """`settle_time_s` (B,) of errors (ticks, B); NaN where there is none."""
-    times = (settle_time_s(times_s, error_m[:, b]) for b in range(error_m.shape[1]))
+    known = np.where(np.isnan(error_m), np.inf, error_m)  # a formation that ended has not settled
+    times = (settle_time_s(times_s, known[:, b]) for b in range(error_m.shape[1]))
     return np.array([np.nan if settled_s is None else settled_s for settled_s in times])
 
 

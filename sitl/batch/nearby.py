@@ -54,7 +54,7 @@ class Moving:
 class Heard:
     """The newest packets of a group from all others of their formations (G, K).
 
-    `motions` (G, K, 7): position, velocity, and the size of the acceleration, or more. `all_formed`: no packet is from before
+    `motions` (7, G, K): position, velocity, and the size of the acceleration, or more. `all_formed`: no packet is from before
     the start of the batch, when its vehicle was not in formation yet.
     """
 
@@ -92,10 +92,9 @@ class Nearby:
         everyone = everyone_of(columns)
         self._other, kept = everyone.sender, Reception(scenarios, columns, everyone, LINKS_TO_ALL)
         self._reception = kept
-        start = np.zeros((columns.count, 7))
-        start[:, :6] = telemetry[:6].T
-        self._motions = np.tile(start, (kept.kept, 1))
-        self._flown = np.zeros((len(self._motions), 4))  # the acceleration, and 1 in formation
+        start = np.concatenate([telemetry[:6], np.zeros((1, columns.count))])
+        self._motions = np.tile(start, kept.kept)
+        self._flown = np.zeros((self._motions.shape[1], 4))  # the acceleration, and 1 in formation
         self._lagged_enu_m_s2 = np.zeros((3, columns.count))
         self._first_enu_m_s2 = np.zeros((3, columns.count))  # the commands of the first tick
         self._heard_at_once = kept.lag == 0
@@ -107,7 +106,7 @@ class Nearby:
         if tick == 0:
             self._first_enu_m_s2[:, group] = commanded_enu_m_s2
         most_m_s2 = _size(lagged) + _left_of_first(tick) * _size(self._first_enu_m_s2[:, group])
-        self._motions[places, :6], self._motions[places, 6] = now.T, most_m_s2
+        self._motions[:6, places], self._motions[6, places] = now, most_m_s2
         self._flown[places, :3], self._flown[places, 3] = lagged.T, 1.0
 
     def moving(self, group: slice, telemetry: FloatArray) -> Moving:
@@ -118,7 +117,7 @@ class Nearby:
     def heard(self, tick: int, group: slice) -> Heard:
         """What these vehicles have received in this tick."""
         received = self._reception.receive(tick, group)
-        motions = self._motions.take(received.indices, axis=0, mode="wrap")
+        motions = self._motions.take(received.indices, axis=1, mode="wrap")
         return Heard(tick, received, motions, tick >= self._reception.kept)
 
     def pairs(self, group: slice, heard: Heard, which: BoolArray) -> Pairs:
@@ -128,7 +127,7 @@ class Nearby:
         flown = self._flown.take(heard.received.indices[pair], axis=0, mode="wrap").T
         left = _left_of_first(heard.tick) * (self._heard_at_once[group][pair] & (flown[3] > 0.0))
         flown[:3] += left * self._first_enu_m_s2[:, other]
-        last = np.concatenate([heard.motions[pair].T[:6], flown[:3]])
+        last = np.concatenate([heard.motions[:6, pair[0], pair[1]], flown[:3]])
         return Pairs(place, place + group.start, other, last, heard.received.age_s[pair], flown[3] > 0.0)
 
 
@@ -169,13 +168,14 @@ class BatchSeparation:
         if not heard.all_formed:
             return heard.received.fresh
         motions, age_s = heard.motions, heard.received.age_s
-        apart = moving.now.T[:, None, :] - motions[:, :, :6]
-        apart[:, :, :3] += LAG_S * apart[:, :, VELOCITY] - age_s[:, :, None] * motions[:, :, VELOCITY]
-        apart[:, :, 2::3] *= HEIGHT_WEIGHT
-        off_m, moves_m_s, flown_m_s2 = apart[:, :, :3], apart[:, :, VELOCITY], motions[:, :, 6]
+        apart = moving.now[:, :, None] - motions[:6]
+        apart[:3] += LAG_S * apart[VELOCITY]
+        apart[:3] -= age_s * motions[VELOCITY]
+        apart[2::3] *= HEIGHT_WEIGHT
+        off_m, moves_m_s, flown_m_s2 = apart[:3], apart[VELOCITY], motions[6]
         turns_m_s = _size(moving.velocity_enu_m_s - moving.now[VELOCITY])[:, None] + (LAG_S + age_s) * flown_m_s2
         apart_m, speed_m_s = _length(off_m), _length(moves_m_s) + turns_m_s
-        closing_m_s = turns_m_s - np.einsum("gkx,gkx->gk", off_m, moves_m_s) / np.maximum(apart_m, LEAST_DISTANCE_M)
+        closing_m_s = turns_m_s - _along(off_m, moves_m_s) / np.maximum(apart_m, LEAST_DISTANCE_M)
         braking_m_s2, approach_m_s = self._braking_m_s2[group, None], np.maximum(closing_m_s, 0.0)
         margin_m = apart_m - self._most_required_m[group, None] - UNSEEN_DELAY_S * approach_m_s
         margin_m -= TURNING_S2 * speed_m_s * speed_m_s / (apart_m + NEAREST_M)
@@ -260,8 +260,12 @@ def _left_of_first(tick: int) -> float:
     return float((1.0 - LAG_SHARE) ** (tick + 1))
 
 
+def _along(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
 def _length(a: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(np.einsum("gkx,gkx->gk", a, a)))
+    return np.asarray(np.sqrt(_along(a, a)))
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ import numpy as np
 
 from companion.analysis.interaction import FloatArray
 from companion.config.fleet import EdgeNeighbours, FleetConfig
+from companion.core.consensus.peers import EXTRAPOLATED_MOST_S, EXTRAPOLATED_NEAR_LEADER_S, NEAR_LEADER_PRC
 from companion.link.tick import PREPARED_S
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.columns import LINKS, BoolArray, Columns, IntArray
@@ -23,9 +24,10 @@ from sitl.flight.files import ids_of
 from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
 
-# Fields of a packet: position minus slot [m], velocity [m/s], acceleration command [m/s^2], or the RFT of a vehicle that is
-# kept off its slot; PrC, and p^-alpha.
-REDUCED_POSITION, VELOCITY, ACCELERATION, PRC, SHARE, WIDTH = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, 11
+# Numbers of a packet: position minus slot [m], velocity [m/s], acceleration command [m/s^2], or the RFT of a vehicle that is
+# kept off its slot; PrC, slot, age on receipt [s], and what the law publishes.
+REDUCED_POSITION, VELOCITY, ACCELERATION, STATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(0, 9)
+PRC, SLOT, AGE, VALUES = 9, slice(10, 13), 13, 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,20 +104,36 @@ class Packets:
     def __init__(
         self, scenarios: Sequence[Scenario], columns: Columns, candidates: Candidates, start: FloatArray
     ) -> None:
-        """`start` (WIDTH, B n) holds the packets of all vehicles before the first tick."""
+        """`start` (rows, B n) holds the packets of all vehicles before the first tick."""
         self._reception = reception = Reception(scenarios, columns, candidates)
         self.receive = reception.receive
-        self._ring = np.tile(start.T, (reception.kept, 1))
+        self.start(start)
+
+    def start(self, packets: FloatArray) -> None:
+        """Only these (rows, B n) were ever sent."""
+        self._ring = np.tile(packets.T, (self._reception.kept, 1))
         self._motions = self._ring[:, :6].copy()  # positions and velocities alone, for the range rule
+        self._prcs = self._ring[:, PRC].copy()
 
     def send(self, tick: int, group: slice, packets: FloatArray, motions: FloatArray) -> None:
-        """Store the packets (WIDTH, G) of these columns, and the positions and velocities (6, G) for the range rule."""
+        """Store the packets (rows, G) of these columns, and the positions and velocities (6, G) for the range rule."""
         places = self._reception.places(tick, group)
-        self._ring[places], self._motions[places] = packets.T, motions.T
+        self._ring[places], self._motions[places], self._prcs[places] = packets.T, motions.T, packets[PRC]
 
-    def packets(self, received: ReceivedPackets) -> FloatArray:
-        """Packets (G, K, WIDTH)."""
-        return self._ring.take(received.indices, axis=0, mode="wrap")
+    def prcs(self, indices: IntArray) -> FloatArray:
+        """PrCs of the packets at these places of the ring."""
+        return self._prcs.take(indices, mode="wrap")
+
+    def extrapolated(self, indices: IntArray, age_s: FloatArray) -> FloatArray:
+        """Packets (rows, P) at these places, of this age, as `neighbour_at` of companion.core.consensus.peers sees them."""
+        packets = self._ring.take(indices, axis=0, mode="wrap").T.copy()
+        near_leader = packets[PRC] <= NEAR_LEADER_PRC
+        used_s = np.minimum(age_s, np.where(near_leader, EXTRAPOLATED_NEAR_LEADER_S, EXTRAPOLATED_MOST_S))
+        velocity, acceleration = packets[VELOCITY], packets[ACCELERATION]
+        packets[REDUCED_POSITION] += used_s * (velocity + 0.5 * used_s * acceleration)
+        velocity += used_s * acceleration
+        packets[AGE] = age_s
+        return packets
 
     def reduced_positions_enu_m(self, received: ReceivedPackets) -> FloatArray:
         """Positions minus slots (G, K, 3), extrapolated to this tick."""

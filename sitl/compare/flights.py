@@ -104,7 +104,7 @@ def fly_job(job: FlightJob) -> list[Figures]:
 
 
 def fly_in_a_batch(flights: Sequence[CellFlight], seconds: float) -> list[Figures]:
-    """Figures of flights of one kind."""
+    """Figures of flights of one kind; none of those that a law has ended."""
 
     def progress(flown_s: float) -> None:
         report_progress(flown_s / seconds)
@@ -113,7 +113,9 @@ def fly_in_a_batch(flights: Sequence[CellFlight], seconds: float) -> list[Figure
     by_range = not isinstance(scenarios[0].fleet.neighbours, EdgeNeighbours)
     flown = fly_batch(scenarios, seconds, progress, sample_s=SAMPLE_S, keep_neighbours=by_range)
     return [
-        figures_of(_of_batch(flown, b, flight.scenario), flight.scenario, flight.repeats)
+        NOTHING
+        if b in flown.failures
+        else figures_of(_of_batch(flown, b, flight.scenario), flight.scenario, flight.repeats)
         for b, flight in enumerate(flights)
     ]
 

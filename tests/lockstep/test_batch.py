@@ -6,9 +6,11 @@ Measured: 1 to 6 micrometres. One physics step more or less in any delay makes m
 """
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from common import ROOT
 from companion.analysis.interaction import FloatArray
@@ -125,6 +127,54 @@ def apart_m(*overrides: str) -> FloatArray:
 )
 def test_the_batch_equals_lockstep_with_ideal_sensors(overrides: tuple[str, ...]) -> None:
     assert apart_m(*overrides).max() <= TOLERANCE_M
+
+
+# It remembers where it was, steers by what its neighbours publish, and publishes its velocity and its last command.
+LAW = """\
+from companion.laws import Law
+
+class Mine(Law, frozen=True):
+    memory = 1
+    publishes = 2
+
+    def acceleration(self, own, neighbours, reference):
+        seen = [*neighbours, reference] if reference is not None else neighbours
+        wanted = []
+        for k in range(3):
+            off = own.position_enu_m[k] - sum(one.position_enu_m[k] for one in seen) / len(seen)
+            moves = own.velocity_enu_m_s[k] - 0.5 * sum(one.values[0][k] for one in neighbours) / len(neighbours)
+            fed = 0.3 * sum(one.values[1][k] for one in neighbours) / len(neighbours)
+            wanted.append(-1.4 * off - 1.5 * moves + fed - 0.2 * own.memory[0][k])
+        return tuple(wanted)
+
+    def remember(self, own, neighbours, reference):
+        return (tuple(0.95 * m + own.step_s * v for m, v in zip(own.memory[0], own.velocity_enu_m_s)),)
+
+    def publish(self, own, neighbours, reference):
+        return (own.velocity_enu_m_s, tuple(a + m for a, m in zip(own.acceleration_enu_m_s2, own.memory[0])))
+"""
+
+
+def test_a_law_of_a_file_flies_as_in_lockstep(tmp_path: Path) -> None:
+    """With its memory, and with what it publishes."""
+    file = tmp_path / "mine.py"
+    file.write_text(LAW)
+    scenario = scenario_of("links.peer_delay_s=0.03", "reference.point_enu_m=[1, 0, 1]")
+    scenario = replace(scenario, fleet=replace(scenario.fleet, law=scenario.fleet.law.with_name(str(file))))
+    flown = fly_without_landing(scenario, FlightProgress("test", True, 0.0))
+    assert flown.failure is None
+    begin_s = began_s(scenario, flown)
+    batch = fly_batch([scenario] * 16, FLOWN_S, start=many(start_of(scenario, flown, begin_s), 16))
+    assert batch.remarks == ()
+    true_m = positions_m(flown, begin_s + batch.times_s)
+    assert np.abs(true_m - true_m[0]).max() > 0.5  # the vehicles did move
+    assert np.linalg.norm(batch.positions_enu_m - true_m[:, None], axis=3).max() <= TOLERANCE_M
+
+
+def many(start: BatchStart, count: int) -> BatchStart:
+    return BatchStart(
+        start.positions_enu_m.repeat(count, axis=0), start.velocities_enu_m_s.repeat(count, axis=0), start.reference_s
+    )
 
 
 def figures_of(*overrides: str) -> tuple[BatchFigures, BatchFigures]:

@@ -58,7 +58,7 @@ class FlownLaw:
             raise LawError(f"the law gives an acceleration of {(x, y, z)} m/s^2; expected numbers up to {MOST_M_S2:g}")
         self._asked_s = vehicle.position_time_s
         if self._nothing:
-            self._memory = _checked(memory, self.law.memory, inf, "remembers")
+            self._memory = finite_vectors(memory, self.law.memory, inf, "remembers")
         return (x, y, z)
 
     def values(
@@ -80,7 +80,7 @@ class FlownLaw:
             values = self.law.publish(own, neighbours, reference)
         except Exception as error:  # as above
             raise LawError(f"the law raises {type(error).__name__}: {error}") from error
-        return _checked(values, self.law.publishes, MAX_COORDINATE_M, "publishes")
+        return finite_vectors(values, self.law.publishes, MAX_COORDINATE_M, "publishes")
 
     def end(self) -> None:
         """Outside formation: forget."""
@@ -137,7 +137,7 @@ def next_prc(is_leader: bool, neighbour_prcs: Iterable[int], n: int) -> int:
     return least + 1
 
 
-def _checked(vectors: Memory, count: int, most: float, verb: str) -> Memory:
+def finite_vectors(vectors: Memory, count: int, most: float, verb: str) -> Memory:
     """Raises LawError where these are not as many vectors of finite numbers up to `most`, beyond which peers refuse them."""
     try:
         if len(vectors) == count and all(

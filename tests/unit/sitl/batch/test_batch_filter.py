@@ -103,7 +103,7 @@ def test_only_what_surely_asks_nothing_is_left_out(overrides: tuple[str, ...]) -
     received = ReceivedPackets(
         np.zeros((COUNT, 1), dtype=np.int64), np.ones((COUNT, 1), np.bool_), pairs.age_s[:, None]
     )
-    motions = np.concatenate([pairs.last[:6], np.linalg.norm(pairs.last[6:], axis=0)[None]]).T[:, None, :]
+    motions = np.concatenate([pairs.last[:6], np.linalg.norm(pairs.last[6:], axis=0)[None]])[:, :, None]
     heard = Heard(1000, received, motions, all_formed=True)
     many = states.many()
     separation = BatchSeparation(many, columns_of(many), np.zeros((3, COUNT)))
