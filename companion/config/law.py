@@ -51,7 +51,7 @@ class LawSection(Section, frozen=True):
     """The formation law and its parameters, and what stays the same under any law.
 
     name: `cooperative` is the law to fly; `weighted` is the paper's; `average_22` and `average_26` are those that the
-        paper compares it with; `serial` is of another publication; the name of an installed law, or with
+        paper compares it with; `serial` and `trimmed` are of other publications; the name of an installed law, or with
         `file` any other name
     file: Python file with a law of your own, in the folder of this file; only root and the user of the process may be able
         to write either; vehicles fly together only with the same content

@@ -9,6 +9,7 @@ from random import Random
 from msgspec.structs import replace
 
 from companion.core.consensus.neighbours import LOW_RATE_TICKS
+from companion.geometry.vectors import plus
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from companion.types.values import Vector3
 from sitl.vehicle.config import Links
@@ -74,7 +75,7 @@ class Network:
         sender_id = packet.sender.vehicle_id
         for false in self._false_positions:
             if false.vehicle == sender_id and false.from_s <= now_s < false.until_s:
-                packet = _shifted(packet, false.shift_enu_m)
+                packet = _shifted(packet, *false.stated(now_s))
         at_low_rate = (packet.sender.sequence + sender_id) % LOW_RATE_TICKS == 0
         for path in self.paths[sender_id]:
             if not at_low_rate and sender_id in self.distant[path.receiver]:
@@ -95,8 +96,8 @@ class Network:
         return packets
 
 
-def _shifted(packet: PeerPacket, shift_enu_m: Vector3) -> PeerPacket:
-    """The packet with another position."""
-    x, y, z = packet.motion.position_enu_m
-    dx, dy, dz = shift_enu_m
-    return replace(packet, motion=replace(packet.motion, position_enu_m=(x + dx, y + dy, z + dz)))
+def _shifted(packet: PeerPacket, shift_enu_m: Vector3, velocity_enu_m_s: Vector3) -> PeerPacket:
+    """The packet with this added to its position and velocity."""
+    motion = packet.motion
+    position, velocity = plus(motion.position_enu_m, shift_enu_m), plus(motion.velocity_enu_m_s, velocity_enu_m_s)
+    return replace(packet, motion=replace(motion, position_enu_m=position, velocity_enu_m_s=velocity))

@@ -9,7 +9,9 @@ from msgspec import Meta, field
 from companion.config.fleet import GeodeticOrigin
 from companion.config.planned_flight import DEFAULT_ORIGIN
 from companion.config.values import PositionM, Section, VehicleId, about
+from companion.geometry.vectors import scaled
 from companion.types.autopilot import AutopilotKind
+from companion.types.values import ZERO3, Vector3
 
 NonNegative = Annotated[float, Meta(ge=0, le=1000)]
 PerAxis = tuple[NonNegative, NonNegative, NonNegative]
@@ -260,12 +262,22 @@ class FalsePosition(Section, frozen=True):
     """A time in which the packets of one vehicle state a wrong position.
 
     shift_enu_m: the stated position minus that of its estimate
+    grows_for_s: the shift grows for so long from 0, and the stated velocity says so; with 0 it is there at once
     """
 
     vehicle: VehicleId
     shift_enu_m: PositionM
     from_s: FlightTime = 0.0
     until_s: FlightTime = 36_000.0
+    grows_for_s: Annotated[float, Meta(ge=0, le=36_000)] = 0.0
+
+    def stated(self, now_s: float) -> tuple[Vector3, Vector3]:
+        """What is added to position and velocity."""
+        after_s = now_s - self.from_s
+        if after_s >= self.grows_for_s:
+            return self.shift_enu_m, ZERO3
+        velocity_enu_m_s = scaled(self.shift_enu_m, 1.0 / self.grows_for_s)
+        return scaled(velocity_enu_m_s, after_s), velocity_enu_m_s
 
 
 class LateTelemetry(Section, frozen=True):

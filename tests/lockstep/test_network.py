@@ -142,3 +142,16 @@ def test_a_lying_vehicle_states_another_position_for_a_time() -> None:
         network.send(packet(2, 1), now_s)
         stated += [one.packet.motion.position_enu_m for i in (2, 1) for one in network.receive(i, now_s + 0.1)]
     assert stated == [ZERO3, ZERO3, (0.0, 1.0, 0.0), ZERO3, ZERO3, ZERO3]
+
+
+def test_a_false_position_that_grows_states_a_velocity_that_agrees() -> None:
+    lie = FalsePosition(vehicle=1, shift_enu_m=(0.0, 2.0, 0.0), from_s=1.0, grows_for_s=4.0)
+    network = Network([1, 2], Links(false_positions=(lie,)), seed=1)
+    stated = []
+    for now_s in (0.5, 3.0, 6.0):
+        network.send(packet(1, 1), now_s)
+        (one,) = network.receive(2, now_s + 0.1)
+        stated.append((one.packet.motion.position_enu_m, one.packet.motion.velocity_enu_m_s))
+    true_m_s = packet(1, 1).motion.velocity_enu_m_s
+    drifts_m_s = (true_m_s[0], true_m_s[1] + 0.5, true_m_s[2])
+    assert stated == [(ZERO3, true_m_s), ((0.0, 1.0, 0.0), drifts_m_s), ((0.0, 2.0, 0.0), true_m_s)]

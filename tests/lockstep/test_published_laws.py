@@ -1,4 +1,4 @@
-"""`serial` in flight: with attitude lag, late and lost packets, and vehicles that are kept off their slots."""
+"""`serial` and `trimmed` in flight: with attitude lag, late and lost packets, vehicles that are kept off, and one that lies."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from common import ROOT
 from sitl.api import FlightData, fly
 
-SHIPPED = ROOT / "config/scenarios"
+SHIPPED, EXAMPLES = ROOT / "config/scenarios", ROOT / "config/examples"
 FAST = {"stand_in.sensors": "ideal", "stand_in.armable_after_s": 1.0}
 
 
@@ -43,3 +43,15 @@ def test_a_vehicle_that_is_kept_off_its_slot_draws_no_other_with_it_under_serial
     flight = fly(SHIPPED / "exchange.yaml", law="serial", overrides=FAST | for_s)
     beside = flight.pairs.index((1, 4))  # 3 m apart before, after and on the way
     assert flight.distances_m[in_formation(flight), beside].max() < 3.4
+
+
+def test_one_of_eight_lies_and_no_other_is_drawn_off() -> None:
+    from_s, grows_for_s = 20.0, 10.0
+    lie = {"vehicle": 6, "from_s": from_s, "shift_enu_m": [0.0, 3.0, 0.0], "grows_for_s": grows_for_s}
+    shorter = {"stand_in.armable_after_s": 1.0, "timeline[3].for_s": 22.0, "links.false_positions": [lie]}
+    flight = fly(EXAMPLES / "trimmed_liar.yaml", overrides=shorter)
+    lied = in_formation(flight) & (flight.time_s > from_s)
+    assert flight.time_s[lied][-1] > from_s + grows_for_s
+    errors_m = dict(zip(flight.vehicles, flight.errors_m[lied].max(axis=0), strict=True))
+    del errors_m[6]
+    assert max(errors_m.values()) < 0.3
