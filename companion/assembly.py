@@ -55,7 +55,6 @@ from companion.geometry.airspace import Airspace
 from companion.geometry.formations import to_separation_metric
 from companion.laws import Law
 from companion.laws._feedback_gains import feedback_gains
-from companion.laws._neighbour_feedback import NeighbourFeedback
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.commands import Described
 from companion.types.flight import FailsafeAction, Role
@@ -264,20 +263,7 @@ def flyable_checks(
         yield problem
     if not refused:
         slots = slots_enu_m or {member.id: member.slot_enu_m for member in fleet.vehicles}
-        yield (yield from _following_steps(fleet, reference, slots, drag_1_s, where))
-
-
-def _following_steps(
-    fleet: FleetConfig,
-    reference: Reference,
-    slots_enu_m: Mapping[int, Vector3],
-    drag_1_s: float,
-    where: str = "reference",
-) -> Steps[Problem | None]:
-    law = law_of(fleet.law)
-    if not isinstance(law, NeighbourFeedback):
-        return None
-    return (yield from following_steps(fleet, law, reference, slots_enu_m, drag_1_s, where))
+        yield (yield from following_steps(fleet, law_of(fleet.law), reference, slots, drag_1_s, where))
 
 
 flyable_problems = without_pauses(flyable_checks)
@@ -323,7 +309,7 @@ def _references(fleet: FleetConfig, first: Reference, drag_1_s: float) -> Refere
         reference = first
         if described is not None:
             reference = commanded(COMMANDED, {"reference": described})
-        problem = yield from _following_steps(fleet, reference, slots_enu_m, drag_1_s)
+        problem = yield from following_steps(fleet, law_of(fleet.law), reference, slots_enu_m, drag_1_s)
         return None if problem is None else f"{problem.field}: {problem.text}"[:LONGEST_REASON]
 
     return ReferencePlan(rft_of(first), read, refusal_of_slots, limits)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from cmath import phase
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -10,111 +9,79 @@ from math import exp, inf, log, log10, pi, sqrt
 
 import numpy as np
 
-from companion.analysis.interaction import (
-    ComplexArray,
-    Coupling,
-    FloatArray,
-    eigenvalues,
-    mode_eigenvalues,
-    symmetric_like,
-)
-from companion.analysis.response import LinearModel
+from companion.analysis.interaction import ComplexArray, Coupling, FloatArray
+from companion.analysis.loop import AT_ORIGIN_1_S
+from companion.analysis.response import TICK_S, LinearModel
 
-AT_ORIGIN_1_S = 2.0  # (s + AT_ORIGIN_1_S)^2 makes each factor finite at all frequencies
+NOTHING = 1e-12  # an eigenvalue or pole at zero
+ALL = 1.0 + 1e-9  # of what is handed on, with rounding: more would grow by itself
 LEAST_LAST_RAD_S = 80.0
 SLOWER = 0.02  # times the lowest frequency at which anything turns
 PER_DECADE = 30  # grid points
 TURN_RAD = 0.8  # largest turn of a factor between two frequencies
-HALVINGS = 40
+BEND_RAD = 0.1  # and by which two turns may differ: a root of two pivots at once turns by nothing or by a whole turn
+REFINEMENTS = 20
+SPLITS = np.array([[0.25], [0.5], [0.75]])  # of a step that is too wide
 FIRST_DELAY_S, MOST_DELAY_S, CLOSE = 0.02, 1000.0, 5e-4  # search for the margin, and its relative accuracy
-
-
-class _Loop:
-    """Factors of det(plant (I - g z_l F) + feedback (D - z_m W)), with z = e^{-s age} of the neighbours' commands and states.
-
-    In the symmetric form of Lemma 2 the weights are W = V mu V'. With L of leaders that use neighbours D = I + L and
-    F = (I - L) W, so all but L has the eigenvectors V, and its determinant is a product: O(n) at a frequency, not O(n^3).
-    What L adds is a matrix of the size of its leaders.
-    """
-
-    def __init__(self, coupling: Coupling, model: LinearModel) -> None:
-        symmetric = symmetric_like(coupling.G)
-        own = np.diag(symmetric)
-        self._mu, vectors = np.linalg.eigh(np.diag(own) - symmetric)
-        self._leading = vectors[own > 1.5]
-        self._law, self._model = coupling.law, model
-
-    def directions(self, omega_rad_s: FloatArray) -> ComplexArray:
-        """The factors, over their moduli, at these frequencies (k, n + 1)."""
-        s = np.asarray(1j * omega_rad_s, dtype=np.complex128)[:, np.newaxis]
-        model, mu = self._model, self._mu
-        plant = s * (s + model.drag_1_s)
-        fed_back = self._feedback(s) * np.exp(-s * model.delay_s)
-        forward = self._law.feedforward * np.exp(-s * model.feedforward_delay_s)
-        without = 1.0 - forward * mu
-        modes = plant * without + fed_back * (1.0 - np.exp(-s * model.neighbour_delay_s) * mu)
-        of_leaders = self._of_leaders((fed_back + plant * forward * mu) / modes)
-        of_leaders /= self._of_leaders(forward * mu / without)
-        factors = np.hstack([modes / without / (s + AT_ORIGIN_1_S) ** 2, of_leaders[:, np.newaxis]])
-        return np.asarray(factors / np.abs(factors), dtype=np.complex128)
-
-    def _of_leaders(self, values: ComplexArray) -> ComplexArray:
-        """det(I + V_L values V_L') (k,)."""
-        rows = self._leading
-        return np.asarray(np.linalg.det(np.eye(len(rows)) + (rows * values[:, np.newaxis, :]) @ rows.T))
-
-    def _feedback(self, s: ComplexArray) -> ComplexArray:
-        """(k1 + k2 s) and the lag, without the delay."""
-        gains = self._law.gains
-        return np.asarray((gains.position_1_s2 + gains.velocity_1_s * s) * self._model.flown_share(s))
-
-    def last_rad_s(self) -> float:
-        """A frequency from which on the loop has no gain left."""
-        omega_rad_s = LEAST_LAST_RAD_S
-        while True:
-            s = np.array([1j * omega_rad_s])
-            gain = abs(self._feedback(s)[0]) / omega_rad_s**2
-            if gain * 3.0 / (1.0 - self._law.feedforward) * len(self._mu) < 0.5:
-                return omega_rad_s
-            omega_rad_s *= 1.5
-
-    def left_of(self, omega_rad_s: float) -> float:
-        """The argument at a frequency from which on the loop has no gain: that to infinity is left."""
-        s = 1j * omega_rad_s
-        return len(self._mu) * phase(s * (s + self._model.drag_1_s) / (s + AT_ORIGIN_1_S) ** 2)
-
-    def grid_rad_s(self, slowest: float) -> FloatArray:
-        gains, model = self._law.gains, self._model
-        k1, k2 = gains.position_1_s2, gains.velocity_1_s
-        first, last = SLOWER * min(1.0, sqrt(k1 * slowest), k1 / k2), self.last_rad_s()
-        turning_s = max(model.feedforward_delay_s, model.neighbour_delay_s)
-        even = np.arange(1.0, 1.0 + turning_s * last) / turning_s if turning_s > 0.0 else np.empty(0)
-        return np.unique(np.concatenate([np.geomspace(first, last, round(PER_DECADE * log10(last / first))), even]))
 
 
 def is_stable(coupling: Coupling, model: LinearModel) -> bool:
     """Whether all errors of the coupled system decay.
 
-    By the argument principle: the determinant of `_Loop` over (s + a)^2n is 1 at infinity, positive at s = 0, and has no
-    pole on the right. So its argument changes by -pi over the frequencies from 0 on for every root there, and by nothing where
-    there is none.
+    By the argument principle: the determinant over (s + a)^2n is positive at s = 0, and has no pole on the right. At high
+    frequencies it is that of what laws hand on to each other. From 0 to there it turns by -pi more than that for every root on
+    the right, and by as much where there is none.
     """
-    slowest = float(eigenvalues(coupling.G)[0])
-    if slowest <= 0.0:
+    loop = coupling.loop
+    position, velocity, handed_on = loop.gains
+    if np.abs(coupling.spectrum).min() < NOTHING or (handed_on > ALL and coupling.hands_on > ALL):
         return False
-    loop = _Loop(coupling, model)
-    omega = loop.grid_rad_s(slowest)
-    directions = loop.directions(omega)
-    for _ in range(HALVINGS):
-        turns = np.angle(directions[1:] / directions[:-1])
-        wide = np.flatnonzero(np.abs(turns).max(axis=1) > TURN_RAD)
+    omega = _grid_rad_s(coupling, model, position, velocity, handed_on)
+    whole = _followed(lambda at: loop.pivots(at, model), omega)
+    # Without gain the pivots are those of each memory and of what little is handed on: they begin on the right of zero, and
+    # remain there unless more than ALL is handed on.
+    rest = _followed(lambda at: loop.pivots_without_gain(at, model), omega if handed_on > ALL else omega[-1:])
+    if whole is None or rest is None:
+        return False
+    s = 1j * omega[-1]
+    moved = len(coupling.prcs) * np.angle(s * (s + model.drag_1_s) / (s + AT_ORIGIN_1_S) ** 2)
+    argument, expected = np.angle(whole[0].prod()) + whole[1], np.angle(rest[0]).sum() + rest[1] + moved
+    return bool(abs(argument - expected) < 0.5 * pi)
+
+
+def _followed(pivots: Callable[[FloatArray], ComplexArray], omega: FloatArray) -> tuple[ComplexArray, float] | None:
+    """Their directions at the first frequency, and by how much all turn up to the last; None with a root on the axis."""
+
+    def directions(at: FloatArray) -> ComplexArray:
+        found = pivots(at)
+        return np.asarray(found / np.abs(found), dtype=np.complex128)
+
+    found = directions(omega)
+    for _ in range(REFINEMENTS):
+        turns, steps = np.angle(found[1:] / found[:-1]), np.diff(np.log(omega))
+        bends = np.abs(np.diff(turns / steps[:, np.newaxis], axis=0)).max(axis=1) * np.minimum(steps[1:], steps[:-1])
+        bent = np.concatenate([[0.0], bends, [0.0]])
+        wide = np.flatnonzero((np.abs(turns).max(axis=1) > TURN_RAD) | (np.maximum(bent[1:], bent[:-1]) > BEND_RAD))
         if not wide.size:
-            argument = float(np.angle(directions[0].prod()) + turns.sum())
-            return abs(argument - loop.left_of(float(omega[-1]))) < 0.5 * pi
-        between = 0.5 * (omega[wide] + omega[wide + 1])
-        omega = np.insert(omega, wide + 1, between)
-        directions = np.insert(directions, wide + 1, loop.directions(between), axis=0)
-    return False  # a root on the axis
+            return found[0], float(turns.sum())
+        between = (omega[wide] + SPLITS * (omega[wide + 1] - omega[wide])).ravel()
+        order = np.argsort(omega := np.concatenate([omega, between]))
+        omega, found = omega[order], np.concatenate([found, directions(between)])[order]
+    return None
+
+
+def _grid_rad_s(
+    coupling: Coupling, model: LinearModel, position: float, velocity: float, handed_on: float
+) -> FloatArray:
+    """From below the slowest mode to where the loop has no gain left."""
+    speeds = np.abs(coupling.modes)
+    first, last = SLOWER * min(1.0, float(speeds[speeds > NOTHING].min(initial=1.0))), LEAST_LAST_RAD_S
+    grown = len(coupling.prcs) / max(1.0 - handed_on, 0.01)
+    while abs((position + 1j * velocity * last) * model.flown_share(1j * last)) / last**2 * grown > 0.5:
+        last *= 1.5
+    turning_s = max(model.feedforward_delay_s, model.neighbour_delay_s, TICK_S if coupling.law.memory else 0.0)
+    even = np.arange(1.0, 1.0 + turning_s * last) / turning_s if turning_s > 0.0 else np.empty(0)
+    return np.unique(np.concatenate([np.geomspace(first, last, round(PER_DECADE * log10(last / first))), even]))
 
 
 def delay_margin_with_lag_s(coupling: Coupling, model: LinearModel) -> float:
@@ -153,6 +120,9 @@ def are_stable(couplings: Sequence[Coupling], models: Sequence[LinearModel], del
     return all(is_stable(one, replace(model, delay_s=delay_s)) for one, model in product(couplings, models))
 
 
+IDEAL = LinearModel(0.0, 0.0, 0.0)  # without lag and link
+
+
 POINTS_PER_DECADE = 80
 PEAKS = 5  # number of grid peaks that are refined
 REFINING_STEPS = 24
@@ -174,26 +144,6 @@ class StringGains:
     to_last_rad_s: float
 
 
-def response(coupling: Coupling, model: LinearModel, omega_rad_s: float) -> ComplexArray:
-    """y (n,) for a reference that oscillates by 1 m at this frequency.
-
-    (s^2 + c s) e^{sd} / H y = u, where H is the lag, and u = -(k1 + k2 s)((D - W e^{-s m}) y - L r) + g W e^{-s l} u
-    + g (s^2 + c s) L r, with L = 1 for leaders, hence [(I - g W e^{-s l}) (s^2 + c s) e^{sd} / H
-    + (k1 + k2 s)(D - W e^{-s m})] y = (k1 + k2 s + g (s^2 + c s)) L r.
-    """
-    s = 1j * omega_rad_s
-    law = coupling.law
-    feedback = law.position_gain_1_s2 + law.velocity_gain_1_s * s
-    plant = s * (s + model.drag_1_s)
-    vehicle = plant * np.exp(s * model.delay_s) / model.flown_share(s)
-    forward = law.feedforward * np.exp(-s * model.feedforward_delay_s)
-    own = np.diag(np.diag(coupling.G))
-    loop = own - (own - coupling.G) * np.exp(-s * model.neighbour_delay_s)
-    left = vehicle * (np.eye(len(coupling.G)) - forward * coupling.W) + feedback * loop
-    right = (feedback + law.feedforward * plant) * coupling.is_leader
-    return np.asarray(np.linalg.solve(left, right), dtype=np.complex128)
-
-
 def string_gains(coupling: Coupling, model: LinearModel) -> StringGains | None:
     """Gains of a formation; None if all vehicles are leaders or the formation is unstable.
 
@@ -208,7 +158,7 @@ def string_gains(coupling: Coupling, model: LinearModel) -> StringGains | None:
         return None
 
     def ratios(log_omega: float) -> tuple[float, float]:
-        amplitudes = np.abs(response(coupling, model, exp(log_omega)))
+        amplitudes = np.abs(coupling.loop.response(exp(log_omega), model))
         by_level = np.array([amplitudes[level].max() for level in levels])
         clear = by_level[:-1] > FAINT * by_level[0]
         return float((by_level[1:][clear] / by_level[:-1][clear]).max()), float(by_level[-1] / by_level[0])
@@ -221,10 +171,9 @@ def string_gains(coupling: Coupling, model: LinearModel) -> StringGains | None:
 
 
 def _grid(coupling: Coupling) -> FloatArray:
-    """log(omega) from 1/10 of the slowest mode, sqrt(k1 mu), to 10 Hz, too fast for any vehicle."""
-    k1 = coupling.law.position_gain_1_s2
-    slowest = max(float(mode_eigenvalues(coupling)[0]), 1e-9)
-    low, high = log(0.1 * sqrt(k1 * slowest)), log(20.0 * pi)
+    """log(omega) from 1/10 of the slowest mode to 10 Hz, too fast for any vehicle."""
+    speeds = np.abs(coupling.modes)
+    low, high = log(0.1 * float(speeds[speeds > NOTHING].min())), log(20.0 * pi)
     return np.linspace(low, high, round(POINTS_PER_DECADE * (high - low) / log(10.0)))
 
 

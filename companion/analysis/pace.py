@@ -6,13 +6,15 @@ from collections.abc import Iterator, Mapping
 from itertools import combinations
 from math import dist, inf, radians, tan
 
-from companion.analysis.response import ROUNDING, USUAL_DRAG_1_S, Chain, ClosestPair, refused_cases, slower_by
+from companion.analysis.compression import ROUNDING, Chain, ClosestPair, refused_cases, slower_by
+from companion.analysis.response import USUAL_DRAG_1_S
+from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
 from companion.config.planned_flight import neighbour_graph
 from companion.config.reference import Reference
 from companion.config.validation import Problem, needs
 from companion.geometry.formations import to_separation_metric
-from companion.laws._neighbour_feedback import NeighbourFeedback
+from companion.laws import Law
 from companion.types.flight import Role
 from companion.types.steps import Steps
 from companion.types.values import GRAVITY_M_S2, Vector3
@@ -20,7 +22,7 @@ from companion.types.values import GRAVITY_M_S2, Vector3
 
 def following_steps(
     fleet: FleetConfig,
-    law: NeighbourFeedback,
+    law: Law,
     reference: Reference,
     slots_enu_m: Mapping[int, Vector3],
     drag_1_s: float = USUAL_DRAG_1_S,
@@ -36,7 +38,10 @@ def following_steps(
         return None  # refused by themselves
     chains = chains_of(fleet, law, slots_enu_m, drag_1_s)
     yield
-    refused = yield from refused_cases(chains, motions, slots_m, fleet.separation_m)
+    try:
+        refused = yield from refused_cases(chains, motions, slots_m, fleet.separation_m)
+    except ConfigError as error:  # the law, while it is linearised
+        return Problem("law", str(error))
     if not refused:
         return None
     times = yield from slower_by(refused, slots_m, fleet.separation_m)
@@ -48,16 +53,14 @@ def following_steps(
     return Problem(f"{where}.{field}", f"{value}: with {fleet.law.name} {outcome}; expected {advice}")
 
 
-def chains_of(
-    fleet: FleetConfig, law: NeighbourFeedback, slots_enu_m: Mapping[int, Vector3], drag_1_s: float
-) -> Iterator[Chain]:
+def chains_of(fleet: FleetConfig, law: Law, slots_enu_m: Mapping[int, Vector3], drag_1_s: float) -> Iterator[Chain]:
     """The formation with its leaders at the start, and with each other vehicle that may lead as the only leader."""
     graph = neighbour_graph(fleet.neighbours, slots_enu_m)
     leaders = [frozenset(m.id for m in fleet.vehicles if m.role is Role.LEADER)]
     leaders += [frozenset({m.id}) for m in fleet.vehicles if m.can_lead and {m.id} != leaders[0]]
     envelope = fleet.envelope
     most_m_s2 = GRAVITY_M_S2 * tan(radians(envelope.max_tilt_deg))
-    return (Chain(law, graph, of, drag_1_s, envelope.max_speed_m_s, most_m_s2) for of in leaders)
+    return (Chain(law, graph, of, drag_1_s, envelope.max_speed_m_s, most_m_s2, slots_enu_m) for of in leaders)
 
 
 def _outcome(pair: ClosestPair, fleet: FleetConfig) -> str:

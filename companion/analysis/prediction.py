@@ -11,10 +11,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count, islice
 from math import ceil
+from typing import Any
 
 import numpy as np
 
 from companion.analysis.interaction import Coupling, FloatArray
+from companion.analysis.linear_law import STATES
 from companion.analysis.response import TICK_S, LinearModel
 from companion.core.formation.paths import (
     Offset,
@@ -32,6 +34,7 @@ SUBSTEPS = 4
 CHECK_TICKS = 50
 DIVERGED_M = 1e6  # the prediction ends at this error, before an overflow
 AT_REST = 1e-4  # and where no error, velocity or acceleration is larger than this, in m and s
+ROUNDING = 1e-12
 NO_PATHS: Sequence[Path | None] = ()
 
 
@@ -62,35 +65,101 @@ def errors_by_tick(
 ) -> Iterator[FloatArray]:
     """`errors_over_time` tick by tick, until the errors have decayed or diverged.
 
-    u(k) = -K (D y(k) - W y(k - m)) + g W u(k - l), with G = D - W; m and l are ages in ticks, between which states are
-    interpolated. A command is held for a tick, which is half a tick of delay; the rest of `delay_s` is transport delay.
-    Between commands the motion is exact.
+    Each tick a vehicle asks its law with its present state, its last command and memory, and with what its neighbours sent
+    some ticks ago, interpolated. A command is held for a tick, which is half a tick of delay; the rest of `delay_s` is
+    transport delay. Between commands the motion is exact.
     """
-    gains, own = coupling.law.gains, np.diag(coupling.G)[:, np.newaxis]
-    weights = np.diag(np.diag(coupling.G)) - coupling.G
     motion = _motion_of_a_tick(model)
     of_tick, n = np.hstack([motion.of_state, motion.of_commands]), len(motion.of_state)
     shape, shifts = start_errors_m.shape, _Shifts(start_errors_m.shape, paths)
     moving = np.zeros((n + 2, *shape))  # position, velocity, acceleration and so on, and the commands that arrive
     moving[0] = start_errors_m
     flat = moving.reshape(n + 2, -1)
-    both = np.array([gains.position_1_s2, gains.velocity_1_s])
     sent: deque[FloatArray] = deque([np.zeros(shape)] * (motion.whole_ticks + 2))
-    wanted = _Aged(gains.position_1_s2 * (start_errors_m - shifts.at(0)[0]), model.neighbour_delay_s)
-    forward = _Forward(coupling, model, shape)
+    laws = _Laws(coupling, model, start_errors_m - shifts.at(0)[0])
     for tick in count():
         yield moving[0]
         if tick % CHECK_TICKS == 0 and tick >= shifts.ticks and _has_ended(flat):
             return
-        on_path, fed_back = tick < shifts.ticks, (both @ flat[:2]).reshape(shape)
+        on_path, seen = tick < shifts.ticks, flat[:2]
         if on_path:
-            delta, delta_1_s, delta_1_s2 = shifts.at(tick)
-            fed_back = fed_back - gains.position_1_s2 * delta - gains.velocity_1_s * delta_1_s
-        command = forward.added(weights @ wanted.after(fed_back) - own * fed_back)
+            shift = shifts.at(tick)
+            seen, delta_1_s2 = seen - shift[:2].reshape(2, -1), shift[2]
+        command = laws.commanded(seen)
         sent.popleft()
         sent.append(command + delta_1_s2 if on_path else command)
         moving[n], moving[n + 1] = sent[0], sent[1]
         flat[:n] = of_tick @ flat
+
+
+class _Laws:
+    """The laws of all vehicles, tick by tick, with their memories and what they have heard.
+
+    Positions and velocities of neighbours mostly count in one proportion, so only the combinations that count are kept.
+    """
+
+    def __init__(self, coupling: Coupling, model: LinearModel, first_m: FloatArray) -> None:
+        near, law = coupling.near, coupling.law
+        outputs, _, n, _ = near.shape
+        self._shape, self._asked = (outputs, *first_m.shape), 1 + law.memory
+        own = coupling.own.transpose(2, 0, 1)[..., np.newaxis]  # by input
+        states = np.hstack([own[: STATES - 1].reshape(2, -1), near[:, : STATES - 1].swapaxes(0, 1).reshape(2, -1)])
+        mixes, sizes, kinds = np.linalg.svd(states, full_matrices=False)
+        count = max(1, int((sizes > ROUNDING * sizes[0]).sum()))
+        self._mixes, parts = mixes[:, :count].T, sizes[:count, np.newaxis] * kinds[:count]
+        self._own, parts = parts[:, : outputs * n].reshape(count, outputs, n, 1), parts[:, outputs * n :]
+        self._own_before = own[STATES - 1 :]
+        self._near = np.hstack(list(parts.reshape(count, -1, n)))
+        self._tall = (count * n, first_m.shape[1])
+        at_rest = np.array([first_m.ravel(), np.zeros(first_m.size)])
+        self._heard = _Aged((self._mixes @ at_rest).reshape(self._tall), model.neighbour_delay_s)
+        self._handed = np.hstack(list(near[:, STATES - 1 :].transpose(1, 0, 2, 3).reshape(-1, outputs * n, n)))
+        self._hands_on = bool(self._handed.any())
+        self._rows: Any = np.s_[:]  # commands and values: what is handed on
+        if outputs > 1:
+            self._rows = np.r_[:n, self._asked * n : outputs * n]
+        whole, share = divmod(model.feedforward_delay_s / TICK_S, 1.0)
+        self._shares = (share, 1.0 - share)
+        at_first = np.vstack([np.zeros_like(first_m), coupling.published @ first_m])
+        self._kept = deque([at_first] * (int(whole) + 1))  # the oldest that counts, to the last tick
+        self._before = np.zeros((self._asked, *first_m.shape))  # the last command, and memories
+        self._looks_back = bool(self._own_before[:, : self._asked].any())
+        self._now = self._answers(0.0 if whole else 1.0 - share)
+
+    def _answers(self, newest: float) -> FloatArray | None:
+        """The answers to what is asked but for the answers of this tick, which affect each other; None if they do not.
+
+        `newest`: by which share neighbours know those of this tick.
+        """
+        size, top = len(self._near), self._asked * self._shape[1]
+        ties = np.zeros((size, size))
+        ties[:, self._rows] = newest * self._handed
+        published = [np.vstack([np.diag(output[:, 0]) for output in rows]) for rows in self._own_before]
+        ties[top:, :top] += np.hstack(published)[top:]
+        return np.asarray(np.linalg.inv(np.eye(size) - ties), dtype=np.float64) if ties.any() else None
+
+    def commanded(self, seen: FloatArray) -> FloatArray:
+        """The commands with these positions and velocities (2, n axes)."""
+        mixed = self._mixes @ seen
+        asked = self._near @ self._heard.after(mixed.reshape(self._tall))
+        if self._hands_on:
+            kept, (share, rest) = self._kept, self._shares
+            asked += self._handed @ (share * kept[0] + rest * kept[1] if len(kept) > 1 else share * kept[0])
+        each = asked.reshape(self._shape)
+        for own, combination in zip(self._own, mixed, strict=True):
+            each += own * combination.reshape(self._shape[1:])
+        if self._looks_back:
+            for own, before in zip(self._own_before, self._before, strict=True):
+                each[: self._asked] += own[: self._asked] * before
+        if self._now is not None:
+            asked = self._now @ asked
+            each = asked.reshape(self._shape)
+        self._before = each[: self._asked]
+        if self._hands_on:
+            self._kept.popleft()
+            self._kept.append(asked[self._rows])
+        command: FloatArray = each[0]
+        return command
 
 
 class _Aged:
@@ -105,32 +174,6 @@ class _Aged:
         self._kept.popleft()
         self._kept.append(newest)
         return self._share * self._kept[0] + (1.0 - self._share) * self._kept[1]
-
-
-class _Forward:
-    """g W u of the neighbours, added to the feedback. Where they are less than a tick old, they depend on each other."""
-
-    def __init__(self, coupling: Coupling, model: LinearModel, shape: tuple[int, ...]) -> None:
-        self._weights = coupling.law.feedforward * coupling.W
-        self._fed = coupling.law.feedforward > 0.0
-        whole, share = divmod(model.feedforward_delay_s / TICK_S, 1.0)
-        # The newest command counts by the rest of the share, and is still unknown.
-        self._now = np.linalg.inv(np.eye(len(coupling.G)) - (1.0 - share) * self._weights) if whole == 0 else None
-        self._share = share
-        self._kept = deque([np.zeros(shape)] * (int(whole) + 1))  # the oldest that counts, to the last tick
-
-    def added(self, fed_back: FloatArray) -> FloatArray:
-        """The command of this tick."""
-        if not self._fed:
-            return fed_back
-        kept, share = self._kept, self._share
-        if self._now is not None:
-            command = self._now @ (fed_back + share * (self._weights @ kept[0]))
-        else:
-            command = fed_back + self._weights @ (share * kept[0] + (1.0 - share) * kept[1])
-        kept.popleft()
-        kept.append(command)
-        return command
 
 
 class _Shifts:

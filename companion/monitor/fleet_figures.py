@@ -8,10 +8,11 @@ from functools import lru_cache
 from itertools import combinations
 from math import dist, inf
 
-from companion.analysis.interaction import couple, eigenvalues, mode_eigenvalues, mode_figures, time_to_shrink_s
+from companion.analysis.interaction import couple, time_to_shrink_s
 from companion.analysis.response import reached_from
+from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig, RangeNeighbours
-from companion.config.law import LawSection, feedback_law_of
+from companion.config.law import LawSection, law_of
 from companion.geometry.formations import separation_distance_m
 from companion.ground.fleet_state import SILENT_AFTER_S
 from companion.monitor.api import FleetView, VehicleView
@@ -33,6 +34,7 @@ class FleetFigures:
     def __init__(self, name: str, file: FleetConfig | None) -> None:
         self._name = name
         self._file = file
+        self._slots_enu_m = tuple([(member.id, member.slot_enu_m) for member in file.vehicles]) if file else ()
         self._separations: deque[tuple[float, float]] = deque(maxlen=int(TREND_S / SAMPLE_S) + 1)
         self._figured_s = -inf
         self._convergence: tuple[float | None, float | None] = (None, None)
@@ -80,7 +82,7 @@ class FleetFigures:
         flying = {v.vehicle_id: v for v in vehicles if v.phase in STREAMING}
         edges = edges_of(flying)
         leaders = frozenset(i for i, v in flying.items() if v.role == Role.LEADER)
-        self._convergence = convergence(frozenset(flying), edges, leaders, self._file.law)
+        self._convergence = convergence(frozenset(flying), edges, leaders, self._file.law, self._slots_enu_m)
         self._link = None
         if isinstance(self._file.neighbours, RangeNeighbours):
             reach_m = self._file.neighbours.range_m + self._file.neighbours.hysteresis_m
@@ -128,11 +130,15 @@ def edges_of(vehicles: Mapping[int, VehicleView]) -> Edges:
 
 @lru_cache(maxsize=64)
 def convergence(
-    vehicle_ids: frozenset[int], edges: Edges, leaders: frozenset[int], settings: LawSection
+    vehicle_ids: frozenset[int],
+    edges: Edges,
+    leaders: frozenset[int],
+    settings: LawSection,
+    slots_enu_m: tuple[tuple[int, Vector3], ...] = (),
 ) -> tuple[float | None, float | None]:
     """(smallest eigenvalue of G, predicted time to a tenth of an error in s).
 
-    (None, None) without a vehicle in formation, (0, None) where a vehicle has no path to a leader.
+    (None, None) without a vehicle in formation, or where the law fails. (0, None) where a vehicle has no path to a leader.
     """
     if not vehicle_ids:
         return None, None
@@ -142,11 +148,12 @@ def convergence(
         graph[j].append(i)
     if reached_from(graph, leaders) != vehicle_ids:
         return 0.0, None
-    law = feedback_law_of(settings)
-    coupling = couple(graph, leaders, law)
-    rate_1_s = min(mode_figures(law.gains, float(value)).rate_1_s for value in mode_eigenvalues(coupling))
-    settling_s = time_to_shrink_s(rate_1_s, 1.0, SHRUNK_TO)
-    return round(float(eigenvalues(coupling.G)[0]), 4), round(settling_s, 2) if settling_s < inf else None
+    try:
+        coupling = couple(graph, leaders, law_of(settings), dict(slots_enu_m))
+    except ConfigError:
+        return None, None
+    settling_s = time_to_shrink_s(coupling.rate_1_s, 1.0, SHRUNK_TO)
+    return round(float(coupling.spectrum[0]), 4), round(settling_s, 2) if settling_s < inf else None
 
 
 def weakest_link(positions_enu_m: Mapping[int, Vector3], edges: Edges, reach_m: float) -> tuple[float, Pair] | None:

@@ -8,7 +8,6 @@ compares the two.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import replace
 from itertools import combinations
 from math import dist, sqrt, tau
 from typing import Any
@@ -21,15 +20,11 @@ from numpy.typing import NDArray
 from companion.analysis.interaction import (
     Coupling,
     couple,
-    eigenvalues,
-    interaction_matrix,
-    mode_eigenvalues,
-    mode_figures,
     share_left,
     shift_m,
     time_to_shrink_s,
 )
-from companion.analysis.margins import are_stable, least_delay_margin_s, string_gains
+from companion.analysis.margins import IDEAL, are_stable, delay_margin_with_lag_s, least_delay_margin_s, string_gains
 from companion.analysis.prediction import (
     SETTLED_WITHIN_M,
     errors_over_time,
@@ -48,7 +43,7 @@ from companion.analysis.response import (
     settled_prcs,
 )
 from companion.config.fleet import EdgeNeighbours, FleetConfig
-from companion.config.law import LawName, feedback_law_of
+from companion.config.law import LawName, law_of
 from companion.config.planned_flight import (
     graph_in_slots,
     neighbour_graph,
@@ -56,12 +51,14 @@ from companion.config.planned_flight import (
 from companion.core.filter.vehicles import PASSING_M, RIPPLE_M
 from companion.core.formation.paths import Path as SlotPath
 from companion.geometry.formations import to_separation_metric
-from companion.laws._neighbour_feedback import NeighbourFeedback
+from companion.laws import Law
 from companion.tools.subject import STEP_M, Subject
 from companion.types.flight import Role
 from companion.types.notices import Refused
 from companion.types.values import Vector3
 
+# Parameters of any law that analysis knows: what its advice is about.
+GAIN_PARAMETERS = ("position_gain_1_s2", "velocity_gain_1_s")
 LAW_NAMES: tuple[LawName, ...] = ("cooperative", "weighted", "average_22", "average_26")
 AVERAGE_LAWS: tuple[LawName, ...] = ("average_22", "average_26")
 PREDICT_S = 120.0
@@ -74,18 +71,20 @@ ERROR_TURNS_S = 30.0
 class LawAnalysis(Struct, frozen=True, kw_only=True):
     """Figures of one law with the leaders of the fleet file. Distances are of pairs of neighbours.
 
-    lambda_min, eigenvalues and G are of the interaction matrix. Rate, damping and delay_margin_s are of the modes without
-    attitude lag and link, with feed-forward; all else is with lag and delays. String gains are None without a hop. For an
-    unstable formation string gains, peaks, times and distances are None. A time is None also where the event does not occur.
-    The margin is the smallest for the links of the scenario, or up to LATE_LINK_S where it has none, of the neighbours at the
-    start and in the slots; peaks, times and distances are with the link of the scenario.
+    lambda_min, eigenvalues and G are of the interaction matrix; of complex eigenvalues, which only laws that are not built in
+    can have, they are the real parts. The gains are those about one neighbour. Rate, damping and delay_margin_s are of the
+    modes without attitude lag and link, with feed-forward; all else is with lag and delays. String gains are None without a
+    hop. For an unstable formation string gains, peaks, times and distances are None. A time is None also where the event does
+    not occur. The margin is the smallest for the links of the scenario, or up to LATE_LINK_S where it has none, of the
+    neighbours at the start and in the slots; peaks, times and distances are with the link of the scenario.
     """
 
     gain_position_1_s2: float
     gain_velocity_1_s: float
-    exponent: float
-    weight_ratio: float
-    feedforward: float
+    exponent: float | None  # None: no parameter of this law
+    weight_ratio: float | None
+    feedforward: float | None
+    remarks: list[str]  # what does not hold of its linearisation
     stable: bool  # with attitude lag, the delay on board and these links
     lambda_min: float
     eigenvalues: list[float]
@@ -93,7 +92,9 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
     damping_min: float
     delay_margin_s: float
     delay_margin_with_lag_s: float
-    more_velocity_gain_helps: bool  # whether MORE gain on velocity makes it larger
+    more_velocity_gain_helps: (
+        bool | None
+    )  # whether MORE gain on velocity makes it larger; None: it has no such parameter
     string_gain_per_hop: float | None
     string_gain_per_hop_rad_s: float | None  # frequency of the largest gain per hop
     string_gain_to_last: float | None
@@ -152,10 +153,11 @@ def analyse(subject: Subject) -> Analysis:
     graph = neighbour_graph(fleet.neighbours, _flying_positions(subject))
     unreached = sorted(set(ids) - reached_from(graph, leaders))
     graphs = flown_graphs(graph, graph_in_slots(fleet), leaders)
-    laws = {} if unreached else {name: _law_analysis(subject, graphs, leaders, name) for name in LAW_NAMES}
-    own = feedback_law_of(fleet.law)
+    names = () if unreached else dict.fromkeys((*LAW_NAMES, fleet.law.name))
+    laws = {name: _law_analysis(subject, graphs, leaders, name) for name in names}
+    own = law_of(fleet.law)
     by_leader = {
-        i: float(eigenvalues(interaction_matrix(graph, {i}, own))[0])
+        i: float(_couple(subject, graph, {i}, own).spectrum[0])
         for i in ids
         if len(reached_from(graph, {i})) == len(ids)
     }
@@ -190,12 +192,10 @@ def _flying_positions(subject: Subject) -> dict[int, Vector3]:
 
 def _law_analysis(subject: Subject, graphs: Sequence[Graph], leaders: Collection[int], name: LawName) -> LawAnalysis:
     """`graphs`: that at the start first, that in the slots last."""
-    law = feedback_law_of(subject.fleet.law.with_name(name))
-    flown = [couple(graph, leaders, law) for graph in graphs]
+    law = law_of(subject.fleet.law.with_name(name))
+    flown = [_couple(subject, graph, leaders, law) for graph in graphs]
     coupling, in_slots = flown[0], flown[-1]
-    spectrum = eigenvalues(coupling.G)
-    modes = [mode_figures(law.gains, float(value)) for value in mode_eigenvalues(coupling)]
-    rate_1_s = min(mode.rate_1_s for mode in modes)
+    rate_1_s, law_gains = coupling.rate_1_s, coupling.gains
     models = [subject.model(link_s) for link_s in links_borne_s(subject.link_s)]
     margin_s = least_delay_margin_s(flown, models)
     stable = margin_s > subject.least_margin_s
@@ -203,30 +203,32 @@ def _law_analysis(subject: Subject, graphs: Sequence[Graph], leaders: Collection
     flight = _predict(subject, graphs[0], in_slots) if stable else _NO_FLIGHT
     gains = string_gains(coupling, model) if stable else None
     start_error_m = float(np.linalg.norm(_start_errors_m(subject), axis=1).max())
+    leader_settle_s, leader_step_settle_s = _leader_settles_s(subject, law, start_error_m) if stable else (None, None)
     return LawAnalysis(
-        gain_position_1_s2=law.position_gain_1_s2,
-        gain_velocity_1_s=law.velocity_gain_1_s,
-        exponent=law.exponent,
-        weight_ratio=law.weight_ratio,
-        feedforward=law.feedforward,
+        gain_position_1_s2=law_gains.position_1_s2,
+        gain_velocity_1_s=law_gains.velocity_1_s,
+        exponent=getattr(law, "exponent", None),
+        weight_ratio=getattr(law, "weight_ratio", None),
+        feedforward=getattr(law, "feedforward", None),
+        remarks=coupling.network.remarks,
         stable=stable,
-        lambda_min=float(spectrum[0]),
-        eigenvalues=spectrum.tolist(),
+        lambda_min=float(coupling.spectrum[0]),
+        eigenvalues=coupling.spectrum.tolist(),
         rate_1_s=rate_1_s,
-        damping_min=min(mode.damping for mode in modes),
-        delay_margin_s=_delay_margin_s(coupling),
+        damping_min=coupling.damping,
+        delay_margin_s=delay_margin_with_lag_s(coupling, IDEAL),
         delay_margin_with_lag_s=margin_s,
-        more_velocity_gain_helps=_more_velocity_gain_helps(flown, models, margin_s),
+        more_velocity_gain_helps=_more_velocity_gain_helps(subject, flown, models, margin_s),
         string_gain_per_hop=gains.per_hop if gains else None,
         string_gain_per_hop_rad_s=gains.per_hop_rad_s if gains else None,
         string_gain_to_last=gains.to_last if gains else None,
         string_gain_to_last_rad_s=gains.to_last_rad_s if gains else None,
         worst_transient_peak=_worst_transient_peak(coupling, model) if stable else None,
         time_to_10_cm_s=time_to_shrink_s(rate_1_s, start_error_m, SETTLED_WITHIN_M) if stable else None,
-        leader_settle_s=_leader_settle_s(subject, law, start_error_m) if stable else None,
-        leader_step_settle_s=_leader_settle_s(subject, law, STEP_M) if stable else None,
-        velocity_error_shift_m=shift_m(law.gains, VELOCITY_ERROR_M_S),
-        velocity_error_shift_corrected_m=shift_m(law.gains, VELOCITY_ERROR_M_S)
+        leader_settle_s=leader_settle_s,
+        leader_step_settle_s=leader_step_settle_s,
+        velocity_error_shift_m=shift_m(law_gains, VELOCITY_ERROR_M_S),
+        velocity_error_shift_corrected_m=shift_m(law_gains, VELOCITY_ERROR_M_S)
         * share_left(tau / ERROR_TURNS_S, subject.fleet.law.velocity_correction_1_s),
         G=coupling.G.tolist(),
         **flight,
@@ -288,33 +290,38 @@ def _paths(subject: Subject, coupling: Coupling, start_errors_m: NDArray[np.floa
     leader = ids[int(np.flatnonzero(coupling.is_leader)[0])]
     led = subject.link_s < ATTITUDE_LOOPS[subject.autopilot].engages_s
     try:
-        found = paths_into_slots(offsets_m, leader, coupling.law.gains, fleet.slot_speed_m_s, led=led)
+        found = paths_into_slots(offsets_m, leader, coupling.gains, fleet.slot_speed_m_s, led=led)
     except Refused:
         return ()
     return [found[i] for i in ids] if any(found.values()) else ()
 
 
-def _leader_settle_s(subject: Subject, law: NeighbourFeedback, start_error_m: float) -> float | None:
-    alone, model = couple({1: []}, {1}, law), subject.model(subject.link_s)
-    return settled_after_s(errors_over_time(alone, np.array([[start_error_m]]), model, PREDICT_S), SETTLED_WITHIN_M)
+def _couple(subject: Subject, graph: Graph, leaders: Collection[int], law: Law) -> Coupling:
+    slots_enu_m = {member.id: member.slot_enu_m for member in subject.fleet.vehicles}
+    return couple(graph, leaders, law, slots_enu_m, subject.drag_1_s)
 
 
-def _more_velocity_gain_helps(couplings: list[Coupling], models: list[LinearModel], margin_s: float) -> bool:
+def _leader_settles_s(subject: Subject, law: Law, start_error_m: float) -> tuple[float | None, float | None]:
+    """A leader alone, from this error and from STEP_M."""
+    alone, model = couple({1: []}, {1}, law, drag_1_s=subject.drag_1_s), subject.model(subject.link_s)
+    errors_m = errors_over_time(alone, np.array([[1.0]]), model, PREDICT_S)
+    return settled_after_s(start_error_m * errors_m, SETTLED_WITHIN_M), settled_after_s(
+        STEP_M * errors_m, SETTLED_WITHIN_M
+    )
+
+
+def _more_velocity_gain_helps(
+    subject: Subject, couplings: Sequence[Coupling], models: Sequence[LinearModel], margin_s: float
+) -> bool | None:
     """Whether the margin grows with MORE gain on velocity; where there is none, whether that without lag does."""
-    more = [_more_velocity_gain(one) for one in couplings]
+    law = couplings[0].law
+    if not set(GAIN_PARAMETERS) <= set(law.__struct_fields__):
+        return None
+    more = msgspec.structs.replace(law, velocity_gain_1_s=getattr(law, GAIN_PARAMETERS[1]) * (1.0 + MORE))
+    changed = [_couple(subject, *one.network.formation, more) for one in couplings]
     if margin_s > 0.0:
-        return are_stable(more, models, margin_s)
-    return _delay_margin_s(more[0]) > _delay_margin_s(couplings[0])
-
-
-def _delay_margin_s(coupling: Coupling) -> float:
-    """Without lag and link."""
-    return min(mode_figures(coupling.law.gains, float(value)).delay_margin_s for value in mode_eigenvalues(coupling))
-
-
-def _more_velocity_gain(coupling: Coupling) -> Coupling:
-    more = msgspec.structs.replace(coupling.law, velocity_gain_1_s=coupling.law.velocity_gain_1_s * (1.0 + MORE))
-    return replace(coupling, law=more)
+        return are_stable(changed, models, margin_s)
+    return delay_margin_with_lag_s(changed[0], IDEAL) > delay_margin_with_lag_s(couplings[0], IDEAL)
 
 
 def _worst_transient_peak(coupling: Coupling, model: LinearModel) -> float | None:

@@ -22,6 +22,7 @@ SMALL_DELAY_MARGIN_S = 0.15  # three times the usual loop delay
 WHOLE_UP_TO = 20  # vehicles; a larger matrix does not fit a screen
 A_LINE = 8  # vehicles per line
 COLUMNS = 100
+NO_ADVICE = "no advice on gains: the law has no parameters position_gain_1_s2 and velocity_gain_1_s"
 
 LAG_S = 1.0 / ATTITUDE_LOOPS[AutopilotKind.PX4].tilt_gain_1_s
 LEGEND = f"""\
@@ -116,6 +117,8 @@ def _unstable(analysis: Analysis, law: LawAnalysis) -> str:
 
 def _for_the_margin(law: LawAnalysis) -> str:
     """Which gains to change for a larger delay margin: more damping or a slower loop."""
+    if law.more_velocity_gain_helps is None:
+        return NO_ADVICE
     if law.more_velocity_gain_helps:
         return "more gain on velocity or less on position helps"
     return "less gain on both velocity and position helps"
@@ -126,6 +129,8 @@ def _for_damping(law: LawAnalysis) -> list[str]:
 
     Less gain on position always does. More gain on velocity is advised only where the delay margin permits it.
     """
+    if law.more_velocity_gain_helps is None:
+        return []
     spare = law.feedforward == 0.0 and law.delay_margin_with_lag_s >= SMALL_DELAY_MARGIN_S
     if spare or law.more_velocity_gain_helps:
         return ["more gain on velocity", "less on position"]
@@ -134,10 +139,11 @@ def _for_damping(law: LawAnalysis) -> list[str]:
 
 def _slow_or_badly_damped(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
     if law.damping_min < BADLY_DAMPED:
+        changes = _for_damping(law)
         yield Notice(
             Code.BADLY_DAMPED,
             f"badly damped (smallest damping {law.damping_min:.2f}, 1 is critical): errors oscillate before they settle; "
-            f"{' or '.join(_for_damping(law))} helps, and so does a larger lambda_min",
+            + (f"{' or '.join(changes)} helps, and so does a larger lambda_min" if changes else NO_ADVICE),
         )
     if law.delay_margin_with_lag_s < SMALL_DELAY_MARGIN_S:
         yield Notice(
@@ -160,7 +166,7 @@ def _grows(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
     }
     least = min(to_last, key=lambda name: to_last[name])
     other = "" if least == analysis.law else f"; {least} has {to_last[least]:.2f} to the last"
-    remedies = [*_for_damping(law), *([] if law.feedforward > 0.0 else ["feedforward"])]
+    remedies = [*_for_damping(law), *(["feedforward"] if law.feedforward == 0.0 else [])]
     yield Notice(
         Code.ERRORS_GROW,
         f"errors grow from hop to hop: the leader's motion is amplified up to {law.string_gain_per_hop:.2f} times in one hop "
@@ -223,10 +229,7 @@ def _law_table(analysis: Analysis) -> list[str]:
         rows.append((title, [cell(law) if law.stable or not of_stable else "unstable" for law in laws]))
 
     add("gains on position, velocity", lambda law: f"{law.gain_position_1_s2:g}, {law.gain_velocity_1_s:g}")
-    add(
-        "alpha and rho of the weights, gamma",
-        lambda law: f"{law.exponent:g}, {law.weight_ratio:g}, {law.feedforward:g}",
-    )
+    add("alpha and rho of the weights, gamma", _weighting)
     add("lambda_min", lambda law: f"{law.lambda_min:.4f}")
     add("convergence rate, no lag [1/s]", lambda law: f"{law.rate_1_s:.4f}")
     add("time to 10 cm by this rate [s]", lambda law: _number(law.time_to_10_cm_s, 1), of_stable=True)
@@ -253,7 +256,13 @@ def _law_table(analysis: Analysis) -> list[str]:
     gains = ", ".join(
         f"{gain:.2f} times that of {name}" for name, gain in analysis.gain_on_average.items() if name != analysis.law
     )
-    return [*table, *LEGEND.splitlines(), *_start(analysis), "", f"lambda_min of {analysis.law} is {gains}"]
+    remarks = [f"{name}: {remark}" for name, law in analysis.laws.items() for remark in law.remarks]
+    return [*table, *remarks, *LEGEND.splitlines(), *_start(analysis), "", f"lambda_min of {analysis.law} is {gains}"]
+
+
+def _weighting(law: LawAnalysis) -> str:
+    values = (law.exponent, law.weight_ratio, law.feedforward)
+    return ", ".join("-" if value is None else f"{value:g}" for value in values)
 
 
 def _start(analysis: Analysis) -> list[str]:

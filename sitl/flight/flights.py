@@ -14,7 +14,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from companion.analysis.interaction import Coupling, couple, mode_eigenvalues, mode_figures
+from companion.analysis.interaction import Coupling, couple
 from companion.analysis.margins import least_delay_margin_s, string_gains
 from companion.analysis.response import (
     AUTOPILOT_STEP_S,
@@ -30,7 +30,6 @@ from companion.config.law import LawName, law_of
 from companion.config.planned_flight import graph_in_slots, neighbour_graph
 from companion.config.reference import TargetReference
 from companion.core.reference.blend import ReferenceTrajectory
-from companion.laws._neighbour_feedback import NeighbourFeedback
 from companion.tools.analysis_report import BADLY_DAMPED, GROWS, SMALL_DELAY_MARGIN_S
 from companion.types.commands import CommandName
 from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
@@ -95,11 +94,11 @@ def check_convergence(scenario: Scenario) -> list[Notice]:
         ids = ", ".join(map(str, unreached))
         text = f"no path leads from a leader to vehicle {ids}; add an edge, more range, or a leader among them"
         raise _diverges(Notice(Code.NO_PATH_TO_LEADER, text))
-    if not isinstance(law, NeighbourFeedback):
-        return []
-    couplings = [couple(each, leaders, law) for each in flown_graphs(graph, graph_in_slots(fleet), leaders)]
     link_s = scenario.links.peer_delay_s + 0.5 * scenario.links.peer_jitter_s
     models = [_model(scenario, borne_s) for borne_s in links_borne_s(link_s)]
+    slots, drag_1_s = {member.id: member.slot_enu_m for member in fleet.vehicles}, models[0].drag_1_s
+    graphs = flown_graphs(graph, graph_in_slots(fleet), leaders)
+    couplings = [couple(each, leaders, law, slots, drag_1_s) for each in graphs]
     margin_s, least_s = least_delay_margin_s(couplings, models), models[0].delay_s + SPARE_S
     if margin_s <= least_s:
         text = (
@@ -123,8 +122,7 @@ def _diverges(notice: Notice) -> DivergesError:
 
 def _warnings(coupling: Coupling, margin_s: float, model: LinearModel) -> list[Notice]:
     warnings = []
-    damping = min(mode_figures(coupling.law.gains, float(value)).damping for value in mode_eigenvalues(coupling))
-    if damping < BADLY_DAMPED:
+    if (damping := coupling.damping) < BADLY_DAMPED:
         warnings.append(Notice(Code.BADLY_DAMPED, f"smallest damping {damping:.2f}, 1 is critical"))
     if margin_s < SMALL_DELAY_MARGIN_S:
         warnings.append(Notice(Code.SMALL_DELAY_MARGIN, f"unstable from a loop delay of {margin_s:.3f} s on"))

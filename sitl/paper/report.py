@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import matplotlib
@@ -13,9 +13,11 @@ from markupsafe import Markup
 from msgspec import Struct
 
 from companion import __version__
-from companion.analysis.interaction import FloatArray, interaction_matrix
+from companion.analysis.interaction import couple
+from companion.analysis.prediction import errors_over_time
+from companion.analysis.response import TICK_S, LinearModel
 from companion.config.fleet import EdgeNeighbours
-from companion.config.law import feedback_law_of
+from companion.config.law import law_of
 from companion.report.page import templates_of
 from companion.types.flight import Role
 from sitl.paper.flights import COMPARED, PERFECT, Book, FlightSubject, FlownPlan, Model
@@ -132,8 +134,7 @@ def law_table(book: Book) -> list[LawRow]:
     return rows
 
 
-STEP_S = 0.005
-TICK_STEPS = 4  # 50 Hz
+IDEAL = LinearModel(attitude_lag_s=0.0, delay_s=0.5 * TICK_S)  # a command is held for a tick
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,35 +152,16 @@ def ideal_figures(flown: FlownPlan, delay_s: float) -> IdealFigures:
         raise TypeError("eq. 18 needs a fixed graph")
     ids = sorted(flight.tracks)
     leaders = {member.id for member in fleet.vehicles if member.role is Role.LEADER}
-    matrix = interaction_matrix(graph_of(ids, fleet.neighbours.edges), leaders, feedback_law_of(fleet.law))
+    coupling = couple(graph_of(ids, fleet.neighbours.edges), leaders, law_of(fleet.law), flight.slots_enu_m)
     slots_m = np.array([flight.slots_enu_m[i][0] for i in ids])
     starts_m = np.array([flown.scenario.starts_enu_m[i][0] for i in ids])
     errors_m = starts_m - flight.reference(0.0).position_enu_m[0] - slots_m
-    gains = feedback_law_of(fleet.law).gains
     duration_s = flight.formation.end_s - flight.formation.start_s
-    history_m = _errors_m(matrix, (gains.position_1_s2, gains.velocity_1_s), errors_m, duration_s, delay_s)
+    model = replace(IDEAL, neighbour_delay_s=delay_s)
+    history_m = errors_over_time(coupling, errors_m[:, np.newaxis], model, duration_s)[..., 0]
     apart_m = np.abs(np.diff(history_m + slots_m, axis=1)).max(axis=0)
-    times_s = STEP_S * np.arange(len(history_m), dtype=np.float64)
+    times_s = TICK_S * np.arange(len(history_m), dtype=np.float64)
     return IdealFigures(
         max_distance_m={f"{i}-{j}": float(d) for i, j, d in zip(ids, ids[1:], apart_m, strict=False)},
         settle_s=settle_time_s(times_s, np.asarray(np.abs(history_m).max(axis=1))),
     )
-
-
-def _errors_m(
-    matrix: FloatArray, gains: tuple[float, float], start_m: FloatArray, duration_s: float, delay_s: float
-) -> FloatArray:
-    """Errors (steps, n) from rest. The own state is current, those of neighbours (off the diagonal of G) are delayed."""
-    own, others = np.diag(np.diag(matrix)), matrix - np.diag(np.diag(matrix))
-    late = round(delay_s / STEP_S)
-    position_m, velocity_m_s, u = start_m.astype(float), np.zeros(len(start_m)), np.zeros(len(start_m))
-    feedback = [gains[0] * position_m]  # K e of every step
-    history = []
-    for step in range(round(duration_s / STEP_S)):
-        history.append(position_m)
-        if step % TICK_STEPS == 0:
-            u = -(own @ feedback[-1]) - others @ feedback[max(0, len(feedback) - 1 - late)]
-        position_m = position_m + velocity_m_s * STEP_S + 0.5 * u * STEP_S**2
-        velocity_m_s = velocity_m_s + u * STEP_S
-        feedback.append(gains[0] * position_m + gains[1] * velocity_m_s)
-    return np.array(history)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cache
+from math import sqrt
 
 import numpy as np
 
-from companion.analysis.interaction import FloatArray, mode_figures
+from companion.analysis.interaction import FloatArray
 from companion.analysis.response import Graph, hops
 from companion.core.consensus.law import next_prc
 from companion.types.formation import PAPER_GAINS, Gains
@@ -150,7 +151,7 @@ def _proposition_1(survey: GraphSurvey, abscissas: Abscissas) -> Claim:
     """Negative abscissas, and the bound of eq. 20, a step of the proof."""
     positive = all(spectra.lambda_min > 0.0 for spectra in survey.all)
     worst = float(max(own.max() for own in abscissas.values()))
-    bounds = {g: np.array([-mode_figures(g, one.lambda_min).rate_1_s for one in survey.all]) for g in ALL_GAINS}
+    bounds = {g: np.array([-rate_of_mode_1_s(g, one.lambda_min) for one in survey.all]) for g in ALL_GAINS}
     beyond = {_name(gains): int((own > bounds[gains] + PROPORTIONAL).sum()) for gains, own in abscissas.items()}
     broken = ", ".join(f"{count} pairs with K = {name}" for name, count in beyond.items() if count)
     remark = "the bound of eq. 20 is never exceeded"
@@ -197,6 +198,16 @@ def _corollary_1(survey: GraphSurvey, abscissas: Abscissas) -> Claim:
         worst_name=worst_name,
         worst_graph=describe(survey.all[worst_at].pair),
     )
+
+
+def rate_of_mode_1_s(gains: Gains, eigenvalue: float) -> float:
+    """Errors of the mode of this eigenvalue of G shrink like exp(-rate t) (eq. 20).
+
+    The rate is proportional to it (Corollary 1) for k2^2 lambda < 4 k1 only: k2 lambda / 2.
+    """
+    k1, k2 = gains.position_1_s2, gains.velocity_1_s
+    discriminant = (k2 * eigenvalue) ** 2 - 4.0 * k1 * eigenvalue
+    return 0.5 * (k2 * eigenvalue - (sqrt(discriminant) if discriminant > 0.0 else 0.0))
 
 
 def limit_of_proportion(gains: Gains) -> float:

@@ -10,6 +10,7 @@ from companion.analysis.margins import delay_margin_with_lag_s
 from companion.analysis.response import LinearModel
 from companion.laws._neighbour_feedback import NeighbourFeedback
 from companion.types.formation import Gains
+from tests.helpers.closed_forms import fed_forward
 from tests.helpers.laws import average_26, law_of
 
 ORDER = 6
@@ -44,7 +45,7 @@ def abscissa(coupling: Coupling, delay_s: float) -> float:
     one, none = np.eye(n), np.zeros((n, n))
     matrix, into, out = delay_filter(delay_s)
     heard_matrix, heard_into, heard_out = delay_filter(MODEL.feedforward_delay_s)
-    forward = law.feedforward * coupling.W
+    forward = fed_forward(*coupling.network.formation, law)
     wide = np.zeros((n, ORDER * n))
     back = [law.position_gain_1_s2 * coupling.G, law.velocity_gain_1_s * coupling.G]
     u = np.linalg.solve(one - forward, np.hstack([-back[0], -back[1], none, wide, forward @ np.kron(one, heard_out)]))

@@ -15,8 +15,6 @@ from companion.analysis.interaction import (
     couple,
     eigenvalues,
     interaction_matrix,
-    mode_eigenvalues,
-    mode_figures,
     time_to_shrink_s,
 )
 from companion.analysis.prediction import DIVERGED_M, errors_over_time, settled_after_s, transient_peak
@@ -29,6 +27,7 @@ from companion.tools.analysis_report import report, verdict
 from companion.tools.subject import load_subject
 from companion.types.formation import Gains
 from companion.types.notices import Code
+from tests.helpers.closed_forms import fed_forward, mode_eigenvalues, mode_figures
 from tests.helpers.laws import average_22, average_26, law_of, weighted
 
 SCENARIOS = ROOT / "config" / "scenarios"
@@ -109,12 +108,13 @@ def test_modes_with_feedforward_are_real_and_positive(
     graph: dict[int, list[int]], data: st.DataObject, alpha: float, feedforward: float, leader_heeds: bool
 ) -> None:
     leaders = data.draw(st.sets(st.sampled_from(sorted(graph)), min_size=1))
-    coupling = couple(graph, leaders, law_of(K, alpha, leader_heeds, feedforward))
-    effective = np.linalg.solve(np.eye(len(graph)) - feedforward * coupling.W, coupling.G)
+    law = law_of(K, alpha, leader_heeds, feedforward)
+    coupling, modes = couple(graph, leaders, law), mode_eigenvalues(graph, leaders, law)
+    effective = np.linalg.solve(np.eye(len(graph)) - fed_forward(graph, leaders, law), coupling.G)
     spectrum = np.linalg.eigvals(effective)
     assert np.abs(spectrum.imag).max() < 1e-4
-    assert mode_eigenvalues(coupling) == pytest.approx(np.sort(spectrum.real), abs=1e-4)
-    assert mode_eigenvalues(coupling)[0] > 0.0
+    assert modes == pytest.approx(np.sort(spectrum.real), abs=1e-4)
+    assert modes[0] > 0.0
     assert eigenvalues(coupling.G) == pytest.approx(np.sort(np.linalg.eigvals(coupling.G).real), abs=1e-5)
 
 

@@ -7,8 +7,8 @@ from math import inf
 import numpy as np
 import pytest
 
+from companion.analysis.compression import OVERSHOOT, Chain, Harmonic, refused_cases, slower_by, too_close
 from companion.analysis.interaction import couple
-from companion.analysis.response import OVERSHOOT, Chain, Harmonic, refused_cases, slower_by, too_close
 from companion.laws._neighbour_feedback import NeighbourFeedback
 from companion.types.steps import whole
 from companion.types.values import Vector3

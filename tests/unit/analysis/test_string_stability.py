@@ -9,11 +9,10 @@ import pytest
 import yaml
 
 from common import ROOT
-from companion.analysis.interaction import Coupling, couple, mode_figures
+from companion.analysis.interaction import Coupling, couple
 from companion.analysis.margins import (
     delay_margin_with_lag_s,
     is_stable,
-    response,
     string_gains,
 )
 from companion.analysis.prediction import errors_over_time, worst_transient_peak
@@ -25,6 +24,7 @@ from companion.tools.analysis_report import report, verdict
 from companion.tools.subject import load_subject
 from companion.types.formation import PAPER_GAINS, Gains
 from companion.types.notices import Code
+from tests.helpers.closed_forms import mode_figures
 from tests.helpers.laws import average_22, average_26, cooperative, law_of, weighted
 
 SCENARIOS = ROOT / "config" / "scenarios"
@@ -63,7 +63,7 @@ def test_peak_between_grid_points_is_found() -> None:
     gains = string_gains(coupling, LinearModel())
     assert gains is not None
     omega = np.geomspace(0.02, 5.0, 6000)
-    swings = np.abs(np.array([response(coupling, LinearModel(), float(w)) for w in omega]))
+    swings = np.abs(np.array([coupling.loop.response(float(w), LinearModel()) for w in omega]))
     assert gains.to_last == pytest.approx((swings[:, -1] / swings[:, 0]).max(), rel=2e-3)
     heard = np.where(swings[:, :-1] > 1e-6 * swings[:, :1], swings[:, 1:] / swings[:, :-1], 0.0)
     assert gains.per_hop == pytest.approx(heard.max(), rel=2e-3)
@@ -71,14 +71,14 @@ def test_peak_between_grid_points_is_found() -> None:
 
 @pytest.mark.parametrize("law", LAWS)
 def test_gain_is_one_at_low_frequencies(law: NeighbourFeedback) -> None:
-    assert np.abs(response(chained(5, law), LinearModel(), 1e-4)) == pytest.approx(np.ones(5), abs=1e-4)
+    assert np.abs(chained(5, law).loop.response(1e-4, LinearModel())) == pytest.approx(np.ones(5), abs=1e-4)
 
 
 def test_response_equals_the_steady_state_of_the_prediction() -> None:
     """The reference oscillates: the leader's error is y - r."""
     law, omega, model = weighted(K), 0.7, LinearModel()
     coupling = chained(3, law)
-    swung = np.abs(response(coupling, model, omega))
+    swung = np.abs(coupling.loop.response(omega, model))
     amplitude = forced(coupling, model, omega)
     assert amplitude == pytest.approx(swung, rel=0.03)
 

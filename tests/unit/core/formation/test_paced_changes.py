@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from companion.analysis.response import COST_PER_STEP, Chain
+from companion.analysis.compression import COST_PER_STEP, Chain
 from companion.config.fleet import FleetConfig, FormationMember, RangeNeighbours
 from companion.config.law import LawSection
 from companion.config.reference import CircleReference, Figure8Reference

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.analysis.interaction import interaction_matrix, mode_figures
+from companion.analysis.interaction import interaction_matrix
 from companion.types.formation import PAPER_GAINS, Gains
 from sitl.compare.shapes import chain, ring
 from sitl.paper.graphs import (
@@ -42,6 +42,7 @@ from sitl.paper.theorems import (
     limit_of_proportion,
     printed_prcs,
     proposition_2_against_22,
+    rate_of_mode_1_s,
     ticks_to_settle,
 )
 from sitl.report.claim import ClaimVerdict
@@ -130,7 +131,7 @@ def test_the_lemmas_corollary_2_and_proposition_2(pair: Led) -> None:
 @given(led_graphs(), st.floats(0.2, 3.0), st.floats(0.2, 5.0))
 def test_the_abscissa_equals_that_of_the_slowest_mode(pair: Led, k1: float, k2: float) -> None:
     spectra, gains = spectra_of(pair), Gains(k1, k2)
-    slowest = min(mode_figures(gains, value).rate_1_s for value in spectra.eigenvalues)
+    slowest = min(rate_of_mode_1_s(gains, value) for value in spectra.eigenvalues)
     assert abscissa_1_s(spectra.interaction, gains) == pytest.approx(-slowest, abs=1e-5)
 
 
