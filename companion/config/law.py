@@ -18,7 +18,6 @@ from companion.config.file import ConfigError, refuse
 from companion.config.validation import INVALID, InvalidFieldError, Problem, all_finite, did_you_mean, examine, needs
 from companion.config.values import Section, Text, written
 from companion.laws import Law
-from companion.laws._neighbour_feedback import NeighbourFeedback
 from companion.laws._trial import trial_problem
 from companion.types.values import quoted
 
@@ -143,14 +142,6 @@ def law_of(section: LawSection) -> Law:
 def is_built_in(section: LawSection) -> bool:
     """Whether the law is one of this package."""
     return section.file is None and section.name in BUILT_IN
-
-
-def feedback_law_of(section: LawSection) -> NeighbourFeedback:
-    """The law, where it has the form of the paper's. Raises ConfigError for another one."""
-    law = law_of(section)
-    if not isinstance(law, NeighbourFeedback):
-        raise ConfigError(section.file or section.name, "", "only laws of the paper's form can be analysed so far")
-    return law
 
 
 def law_names() -> tuple[str, ...]:
