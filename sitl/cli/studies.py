@@ -131,7 +131,7 @@ def _run_compare(options: argparse.Namespace) -> int:
     agents one by one, which takes fifty times as long.
 
     --lockstep N lets the agents that fly real vehicles fly N of the flights again, of evenly chosen cells, and says which
-    figures differ by more than 5 %, or with random errors from those of all seeds.
+    figures differ by more than 5 %, or with random errors from those of all seeds by more than these differ.
 
     the folder (default: a new one, runs/compare-DATE-TIME):
       index.html        one page with everything in it

@@ -31,7 +31,7 @@ MAX_SAMPLES = 6_000_000  # ticks x flights x vehicles
 MAX_PAIRS = 400_000  # flights x vehicles x vehicles
 # A batch with fewer columns takes as long as one with this many. The chunks must not depend on the number of cores, because
 # that would change the last bits of the results; so there are enough of them for most machines.
-MIN_COLUMNS = 500
+MIN_COLUMNS = 1000
 CHUNKS = 16
 AGENTS_COST = 50.0  # work of a vehicle-second of an agent, relative to one of a batch, for progress
 CONNECTED_EVERY = 5  # samples

@@ -43,8 +43,9 @@ def run_paper(options: argparse.Namespace) -> int:
 
 def duration_text(full: bool, cores: int) -> str:
     """How long it takes, in a line."""
-    minutes = round((FULL_CORE_MINUTES if full else CORE_MINUTES) / cores)
-    return f"about {max(1, minutes)} minutes on {cores} quiet core{'' if cores == 1 else 's'}; Ctrl-C keeps what is finished"
+    minutes = max(1, round((FULL_CORE_MINUTES if full else CORE_MINUTES) / cores))
+    lasts = f"{minutes} minute{'' if minutes == 1 else 's'} on {cores} quiet core{'' if cores == 1 else 's'}"
+    return f"about {lasts}; Ctrl-C keeps what is finished"
 
 
 def _reproduce(folder: Path, options: argparse.Namespace, stop: StopRequest) -> int:

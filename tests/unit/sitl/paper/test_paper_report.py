@@ -7,14 +7,18 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from companion.analysis.interaction import FloatArray
 from companion.core.reference.blend import point
 from companion.types.flight import Role
+from sitl.paper.command import duration_text
 from sitl.paper.figures import SAVED
 from sitl.paper.flights import (
+    Book,
     FlightSubject,
     Model,
+    NotFlownError,
     alone_s,
     behind_leader_m,
     broken_s,
@@ -25,6 +29,7 @@ from sitl.paper.flights import (
     total_s,
 )
 from sitl.paper.graphs import printed_matrix
+from sitl.paper.platoon_claims import platoon_claims
 from sitl.paper.report import SIGNS, LawRow, PaperReport, as_html, sentence, verdict_counts, versions, write_report
 from sitl.paper.words import join_words, seconds, verdict_of, words
 from sitl.report.claim import Claim, ClaimVerdict, Erratum
@@ -229,3 +234,25 @@ def test_the_ideal_model_is_a_double_integrator() -> None:
     assert stand_in.airframe.attitude == "instant"
     assert stand_in.airframe.motor_lag_s == stand_in.airframe.drag_n_per_m_s == 0.0
     assert stand_in.sensors == "ideal"
+
+
+@pytest.mark.parametrize(
+    ("cores", "text"),
+    [(1, "about 6 minutes on 1 quiet core;"), (2, "about 3 minutes on 2 quiet cores;"), (64, "about 1 minute on 64")],
+)
+def test_it_says_beforehand_how_long_it_takes(cores: int, text: str) -> None:
+    assert duration_text(full=False, cores=cores).startswith(text)
+
+
+def test_a_page_that_was_stopped_says_what_is_missing_and_shows_the_rest() -> None:
+    page = as_html(replace(report(claim("a", ClaimVerdict.HOLDS)), missing=["lemma-1", "figure_8.png"]))
+    assert "Not finished: lemma-1, figure_8.png." in page
+    assert 'src="figure_8.png"' not in page and 'src="figure_5.png"' in page
+
+
+def test_a_group_of_flights_with_one_missing_gives_no_claim() -> None:
+    plans = [plan for plan in paper_plans(full=False) if plan.model is Model.NOISY and plan.subject == "platoon"]
+    book = Book([], plans)
+    with pytest.raises(NotFlownError, match="not all flights of platoon"):
+        book.all(plans[0].subject, plans[0].law, Model.NOISY)
+    assert platoon_claims(Book([], paper_plans(full=False))) == []
