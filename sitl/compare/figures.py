@@ -74,6 +74,8 @@ DIGITS = {"settle_s": 2, "bytes_per_s": 0}  # others have four
 
 def figures_of(flown: FlownFormation, scenario: Scenario, hop_gains: bool) -> Figures:
     """`hop_gains`: whether deviations are those of the law, not of noise."""
+    if np.isnan(flown.positions_enu_m[-1]).any():  # its law failed
+        return NOTHING
     displaced_m = flown.positions_enu_m - flown.slots_enu_m
     errors_m = np.linalg.norm(displaced_m - flown.reference_enu_m[:, None, :], axis=2)
     final = np.sqrt(np.mean(np.square(errors_m[flown.times_s >= flown.times_s[-1] - FINAL_S - 1e-9]), axis=0))

@@ -70,6 +70,9 @@ def test_figures_of_a_step() -> None:
     moving = goal + 0.1 * times_s[:, None]
     one = figures_of(FlownFormation(times_s, positions, moving, slots, commanded, None), platoon(), hop_gains=False)
     assert one.overshoot_m is None and one.settle_s is None
+    positions[400:] = np.nan
+    failed = FlownFormation(times_s, positions, goal, slots, commanded, None)
+    assert figures_of(failed, platoon(), hop_gains=False) == NOTHING
 
 
 def test_the_closest_pair_is_found_and_one_vehicle_has_none() -> None:
