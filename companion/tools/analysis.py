@@ -24,7 +24,14 @@ from companion.analysis.interaction import (
     shift_m,
     time_to_shrink_s,
 )
-from companion.analysis.margins import IDEAL, are_stable, delay_margin_with_lag_s, least_delay_margin_s, string_gains
+from companion.analysis.margins import (
+    IDEAL,
+    StringGains,
+    are_stable,
+    delay_margin_with_lag_s,
+    least_delay_margin_s,
+    string_gains,
+)
 from companion.analysis.prediction import (
     SETTLED_WITHIN_M,
     errors_over_time,
@@ -52,6 +59,7 @@ from companion.core.filter.vehicles import PASSING_M, RIPPLE_M
 from companion.core.formation.paths import Path as SlotPath
 from companion.geometry.formations import to_separation_metric
 from companion.laws import Law
+from companion.tools.second_edges import SecondEdges, second_edges
 from companion.tools.subject import STEP_M, Subject
 from companion.types.flight import Role
 from companion.types.notices import Refused
@@ -106,6 +114,9 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
     time_to_10_cm_s: float | None  # by the rate alone
     predicted_settle_s: float | None  # as flown: with the paths into the slots, or by the law alone
     leader_settle_s: float | None  # likewise, of a leader without neighbours from the same largest error
+    limit_s: (
+        float | None
+    )  # and so long after it at the earliest, the farthest vehicle: that motion passed on over all hops
     leader_step_settle_s: float | None  # likewise, from STEP_M
     predicted_max_distance_m: dict[str, float] | None
     predicted_min_distance_m: dict[str, float] | None
@@ -142,6 +153,7 @@ class Analysis(Struct, frozen=True, kw_only=True):
     lambda_min_by_leader: dict[int, float]
     gain_on_average: dict[LawName, float]
     unreached: list[int]  # vehicles without a path to a leader
+    second_edges: SecondEdges | None  # that make the string gain of the fleet's law smaller
     not_read: list[str]  # sections and keys of the file that are not used
 
 
@@ -181,8 +193,20 @@ def analyse(subject: Subject) -> Analysis:
         lambda_min_by_leader=by_leader,
         gain_on_average=gain,
         unreached=unreached,
+        second_edges=_second_edges(subject, graph, leaders) if laws and laws[fleet.law.name].stable else None,
         not_read=list(subject.not_read),
     )
+
+
+def _second_edges(subject: Subject, graph: Graph, leaders: Collection[int]) -> SecondEdges | None:
+    law, model = law_of(subject.fleet.law), subject.model(subject.link_s)
+
+    def gains_of(graph: Graph) -> StringGains | None:
+        coupling = _couple(subject, graph, leaders, law)
+        return string_gains(coupling, model) if are_stable([coupling], [model], model.delay_s) else None
+
+    gains = gains_of(graph) if isinstance(subject.fleet.neighbours, EdgeNeighbours) else None
+    return second_edges(graph, leaders, gains, gains_of) if gains else None
 
 
 def _flying_positions(subject: Subject) -> dict[int, Vector3]:
@@ -193,6 +217,7 @@ def _flying_positions(subject: Subject) -> dict[int, Vector3]:
 def _law_analysis(subject: Subject, graphs: Sequence[Graph], leaders: Collection[int], name: LawName) -> LawAnalysis:
     """`graphs`: that at the start first, that in the slots last."""
     law = law_of(subject.fleet.law.with_name(name))
+    hops = max(settled_prcs(graphs[0], leaders).values()) - 1
     flown = [_couple(subject, graph, leaders, law) for graph in graphs]
     coupling, in_slots = flown[0], flown[-1]
     rate_1_s, law_gains = coupling.rate_1_s, coupling.gains
@@ -226,6 +251,7 @@ def _law_analysis(subject: Subject, graphs: Sequence[Graph], leaders: Collection
         worst_transient_peak=_worst_transient_peak(coupling, model) if stable else None,
         time_to_10_cm_s=time_to_shrink_s(rate_1_s, start_error_m, SETTLED_WITHIN_M) if stable else None,
         leader_settle_s=leader_settle_s,
+        limit_s=None if leader_settle_s is None else leader_settle_s + hops * subject.pass_on_s,
         leader_step_settle_s=leader_step_settle_s,
         velocity_error_shift_m=shift_m(law_gains, VELOCITY_ERROR_M_S),
         velocity_error_shift_corrected_m=shift_m(law_gains, VELOCITY_ERROR_M_S)

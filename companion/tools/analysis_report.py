@@ -11,6 +11,7 @@ import numpy as np
 from companion.analysis.response import ATTITUDE_LOOPS, LATE_LINK_S, TICK_S
 from companion.geometry.formations import ROUNDING_M
 from companion.tools.analysis import ERROR_TURNS_S, PREDICT_S, VELOCITY_ERROR_M_S, Analysis, LawAnalysis
+from companion.tools.second_edges import GROWS as GROWS_AT_ALL
 from companion.tools.subject import STEP_M
 from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code, Notice
@@ -37,7 +38,9 @@ LEGEND = f"""\
     neighbours' acceleration that is fed forward
   shift: where a vehicle rests while its velocity disagrees with its position; corrected: with
     velocity_correction_1_s, for an error that turns once in {ERROR_TURNS_S:g} s
-  transient peak: the largest error of any vehicle over the largest at the start"""
+  transient peak: the largest error of any vehicle over the largest at the start
+  no law sooner: a leader alone, and its motion passed on over all hops with mean delay,
+    wait and loss"""
 
 
 def report(analysis: Analysis) -> str:
@@ -50,7 +53,15 @@ def report(analysis: Analysis) -> str:
     lines += ["neighbours at the start:"]
     lines += [f"  {i}: {_ids(neighbours) or 'none'}" for i, neighbours in analysis.graph.items()]
     if analysis.laws:
-        lines += ["", *_law_table(analysis), "", *_leader_table(analysis), "", *_matrix(analysis)]
+        lines += [
+            "",
+            *_law_table(analysis),
+            "",
+            *_leader_table(analysis),
+            *_second_edges(analysis),
+            "",
+            *_matrix(analysis),
+        ]
     if analysis.not_read:
         lines += [
             "",
@@ -246,6 +257,7 @@ def _law_table(analysis: Analysis) -> list[str]:
     add("transient peak, this start", lambda law: _gain(law.transient_peak), of_stable=True)
     add("settled to 10 cm [s]", lambda law: _number(law.predicted_settle_s, 1), of_stable=True)
     add("  a leader alone [s]", lambda law: _number(law.leader_settle_s, 1), of_stable=True)
+    add("  no law sooner than [s]", lambda law: _number(law.limit_s, 1), of_stable=True)
     add("largest distance of neighbours [m]", lambda law: _extreme(law.predicted_max_distance_m, max), of_stable=True)
     add("smallest distance of all [m]", _smallest, of_stable=True)
     add("smallest distance of neighbours [m]", lambda law: _extreme(law.predicted_min_distance_m, min), of_stable=True)
@@ -277,6 +289,20 @@ def _start(analysis: Analysis) -> list[str]:
 def _leader_table(analysis: Analysis) -> list[str]:
     cells = [f"{i:>3}: {value:.4f}" for i, value in analysis.lambda_min_by_leader.items()]
     return [f"lambda_min under {analysis.law} with one vehicle as the only leader:", *_in_lines(cells)]
+
+
+def _second_edges(analysis: Analysis) -> list[str]:
+    found = analysis.second_edges
+    if found is None:
+        return []
+    enough = "" if found.per_hop_with <= GROWS_AT_ALL else "; no such edges bring the gain per hop to 1.00"
+    text = (
+        f"with neighbours two hops ahead as well the string gain, leader to last, is {found.to_last_with:.2f} instead of "
+        f"{found.to_last:.2f}, and {found.per_hop_with:.2f} instead of {found.per_hop:.2f} per hop{enough}; add to "
+        "neighbours.edges:"
+    )
+    pairs = ", ".join(f"[{a}, {b}]" for a, b in found.edges)
+    return ["", *wrap(text, COLUMNS), *wrap(pairs, COLUMNS, initial_indent="  ", subsequent_indent="  ")]
 
 
 def _matrix(analysis: Analysis) -> list[str]:

@@ -12,6 +12,7 @@ from companion.analysis.response import (
     AUTOPILOT_STEP_S,
     ON_BOARD_S,
     SPARE_S,
+    TICK_S,
     USUAL_DRAG_1_S,
     USUAL_LINK_S,
     LinearModel,
@@ -34,7 +35,7 @@ NOT_READ = {
     "stand_in": "stand_in but its autopilot, mass and drag",
     "assumed": "assumed",
     "targets": "targets",
-    "links": "links but their delays",
+    "links": "links but their delays and peer_loss",
     "timeline": "timeline",
     "agent_ends": "agent_ends",
 }
@@ -47,11 +48,17 @@ class _OfLinks(Struct, frozen=True):
     setpoint_delay_s: DelaySeconds = 0.0005
     peer_delay_s: DelaySeconds = USUAL_LINK_S
     peer_jitter_s: DelaySeconds = 0.0
+    peer_loss: Annotated[float, Meta(ge=0, lt=1)] = 0.0
 
     @property
     def link_s(self) -> float:
         """On average."""
         return self.peer_delay_s + 0.5 * self.peer_jitter_s
+
+    @property
+    def pass_on_s(self) -> float:
+        """From a motion of a vehicle to the tick in which its neighbours know of it, on average."""
+        return self.link_s + TICK_S * (0.5 + self.peer_loss / (1.0 - self.peer_loss))
 
     @property
     def on_board_s(self) -> float:
@@ -89,6 +96,7 @@ class Subject(Struct, frozen=True, kw_only=True):
     reference_enu_m: Vector3
     reference_moves: bool = False
     link_s: float = USUAL_LINK_S  # between its agents
+    pass_on_s: float = USUAL_LINK_S + 0.5 * TICK_S  # and until a motion is known one hop further
     on_board_s: float = ON_BOARD_S
     autopilot: AutopilotKind = AutopilotKind.PX4
     drag_1_s: float = USUAL_DRAG_1_S
@@ -135,6 +143,7 @@ def subject_of(path: Path, data: Any) -> Subject:
         reference_enu_m=part.reference.start_enu_m if part.reference else _a_step(fleet),
         reference_moves=part.reference is not None and part.reference.MOVES,
         link_s=links.link_s,
+        pass_on_s=links.pass_on_s,
         on_board_s=links.on_board_s,
         autopilot=stand_in.autopilot,
         drag_1_s=airframe.drag_n_per_m_s / airframe.mass_kg,
