@@ -18,6 +18,7 @@ from sitl.batch.bodies import quaternion_of_euler
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.batch.filter import BatchFilter, KeptOffSlots
 from sitl.batch.laws import BatchLaws, Known
+from sitl.batch.observers import DisturbanceObservers, VelocityCorrections, limited
 from sitl.batch.packets import (
     ACCELERATION,
     PRC,
@@ -52,7 +53,9 @@ class Agents:
         self._laws = laws
         self._references = references
         self._candidates = candidates
-        self._commands = AttitudeCommands(scenarios, columns, DT_S * TELEMETRY_STEPS)
+        self._observers = DisturbanceObservers(scenarios, columns)
+        self._corrections = VelocityCorrections(scenarios, columns)
+        self._commands = AttitudeCommands(scenarios, columns, DT_S * TELEMETRY_STEPS, self._observers.hover_norm)
         self._commands.open_at(telemetry[6:9])
         self._altitude = AltitudeHold(scenarios, columns, telemetry[2])
         self._commanded_enu_m_s2 = np.zeros((3, columns.count))
@@ -77,6 +80,8 @@ class Agents:
     def decide(self, tick: int, phase: int, reference_s: float, telemetry: FloatArray) -> FloatArray:
         """One tick of the agents of this phase, at `reference_s` of the RFT: (5, G) quaternion and thrust."""
         group, laws = self._columns.groups[phase], self._laws
+        self._corrections.follow(tick, group, telemetry)
+        self._observers.update(tick, group, telemetry, self._commands.thrust_norm(group))
         own = telemetry[:6].copy()
         own[:3] -= self._slot_enu_m[:, group]
         used = self._from_neighbours(group, own[:3], self._packets.receive(tick, group))
@@ -84,12 +89,13 @@ class Agents:
         known = self._known(group, own, used, self._references.at(phase, reference_s))
         wanted = laws.accelerations(known)
         self._altitude.hold(wanted, telemetry, group)
-        acceleration = wanted.copy()
-        self._commands.limit(acceleration, group)
-        changed = self._filter.step(tick, group, telemetry, wanted, acceleration)
-        if changed.places.size:
-            self._commands.limit(changed.acceleration_enu_m_s2, group.start + changed.places)
-            acceleration[:, changed.places] = changed.acceleration_enu_m_s2
+        disturbance = self._observers.disturbance_enu_m_s2[:, group]
+        acceleration = self._commands.possible(wanted, disturbance, group)
+        changed = self._filter.step(tick, group, telemetry, wanted, acceleration, disturbance)
+        if (places := changed.places).size:
+            acceleration[:, places] = self._commands.possible(
+                changed.acceleration_enu_m_s2, disturbance[:, places], group.start + places
+            )
         self._commanded_enu_m_s2[:, group] = acceleration
         self._filter.send(tick, group, telemetry, acceleration)
         sent = np.empty((VALUES + 3 * laws.values, prcs.size))
@@ -98,6 +104,7 @@ class Agents:
         sent[STATE, kept_off] = rft
         sent[VALUES:] = laws.published(known, sent[STATE])
         self._packets.send(tick, group, sent, own)
+        acceleration[:2] -= disturbance
         return self._commands.admitted(acceleration, telemetry[6], telemetry[7], group)
 
     def commanded_m_s2(self) -> FloatArray:
@@ -199,37 +206,55 @@ class AttitudeCommands:
     The output limits see no gaps here: every vehicle ticks once in a period.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], columns: Columns, period_s: float) -> None:
+    def __init__(
+        self, scenarios: Sequence[Scenario], columns: Columns, period_s: float, hover_norm: FloatArray
+    ) -> None:
+        """`hover_norm` (B n,) are the estimates, which change in place."""
         envelopes = [scenario.fleet.envelope for scenario in scenarios]
-        hover = columns.spread([hover_thrust_norm(scenario.stand_in) for scenario in scenarios])
         tilt_rad = columns.spread([radians(e.max_tilt_deg) for e in envelopes])
-        least = columns.spread([e.min_thrust_ratio for e in envelopes])
-        most = columns.spread([e.max_thrust_ratio for e in envelopes])
-        self.hover_norm = hover
+        self._least = columns.spread([e.min_thrust_ratio for e in envelopes])
+        self._most = columns.spread([e.max_thrust_ratio for e in envelopes])
+        self._hover_norm = hover_norm
+        self._true_hover_norm = columns.spread([hover_thrust_norm(scenario.stand_in) for scenario in scenarios])
         self._max_tilt_rad = tilt_rad
         self._tan_tilt = columns.spread([tan(radians(e.max_tilt_deg)) for e in envelopes])
-        self._least_lift, self._most_lift = least * GRAVITY_M_S2, most * GRAVITY_M_S2
-        self._least_norm, self._most_norm = hover * least, np.minimum(1.0, hover * most)
+        self._least_lift, self._most_lift = self._least * GRAVITY_M_S2, self._most * GRAVITY_M_S2
         turn_rad = columns.spread([radians(e.max_tilt_rate_deg_s) * period_s for e in envelopes])
-        thrust = columns.spread([e.max_thrust_rate_1_s * period_s for e in envelopes]) * hover
-        self._most_change = np.stack([turn_rad, turn_rad, thrust])
-        self._yaw_rad = np.zeros(columns.count)
+        self._most_turn_rad = np.stack([turn_rad, turn_rad])
+        self._most_change = columns.spread([e.max_thrust_rate_1_s * period_s for e in envelopes])  # of the hover thrust
+        self._yaw_rad = self._cos_yaw = self._sin_yaw = np.zeros(columns.count)
         self._last = np.zeros((3, columns.count))
 
     def open_at(self, euler_rad: FloatArray) -> None:
         """Start from the estimated attitudes (3, B n)."""
         self._yaw_rad = euler_rad[2].copy()
+        self._cos_yaw, self._sin_yaw = np.cos(self._yaw_rad), np.sin(self._yaw_rad)
         share = np.maximum(0.5, np.cos(euler_rad[0]) * np.cos(euler_rad[1]))
         all_columns = slice(0, self._yaw_rad.size)
-        self._last = self._within_limits(np.stack([euler_rad[0], euler_rad[1], self.hover_norm / share]), all_columns)
+        self._last = self._within_limits(np.stack([euler_rad[0], euler_rad[1], self._hover_norm / share]), all_columns)
 
     def limit(self, acceleration: FloatArray, group: slice | IntArray) -> None:
         """limit_acceleration on (3, G), in place, of a group or of these columns."""
-        lift = np.clip(acceleration[2] + GRAVITY_M_S2, self._least_lift[group], self._most_lift[group])
+        lift = np.maximum(acceleration[2] + GRAVITY_M_S2, self._least_lift[group])
+        np.minimum(lift, self._most_lift[group], out=lift)
         level = np.hypot(acceleration[0], acceleration[1])
         most = lift * self._tan_tilt[group]
         acceleration[:2] *= most / np.maximum(level, most)
         np.subtract(lift, GRAVITY_M_S2, out=acceleration[2])
+
+    def possible(
+        self, wanted_enu_m_s2: FloatArray, disturbance_enu_m_s2: FloatArray, group: slice | IntArray
+    ) -> FloatArray:
+        """What tilt and thrust allow of these accelerations (3, G) against the horizontal disturbances (2, G)."""
+        acceleration = wanted_enu_m_s2.copy()
+        acceleration[:2] -= disturbance_enu_m_s2
+        self.limit(acceleration, group)
+        acceleration[:2] += disturbance_enu_m_s2
+        return acceleration
+
+    def thrust_norm(self, group: slice) -> FloatArray:
+        """The last admitted thrust (G,)."""
+        return self._last[2, group]
 
     def admitted(
         self, acceleration: FloatArray, roll_rad: FloatArray, pitch_rad: FloatArray, group: slice
@@ -242,15 +267,16 @@ class AttitudeCommands:
         vertical_share = np.cos(pitch_rad) * np.cos(roll_rad)
         flies = vertical_share > 0.0
         ax, ay = acceleration[:2] / lift
-        yaw = self._yaw_rad[group]
-        cos_yaw, sin_yaw = np.cos(yaw), np.sin(yaw)
+        cos_yaw, sin_yaw = self._cos_yaw[group], self._sin_yaw[group]
         wanted = np.empty((3, lift.size))
         np.arctan(ax * cos_yaw + ay * sin_yaw, out=wanted[1])
         np.arctan(np.cos(wanted[1]) * (ax * sin_yaw - ay * cos_yaw), out=wanted[0])
-        np.divide(self.hover_norm[group] * lift, GRAVITY_M_S2 * np.where(flies, vertical_share, 1.0), out=wanted[2])
-        last, most_change = self._last[:, group], self._most_change[:, group]
+        np.divide(self._hover_norm[group] * lift, GRAVITY_M_S2 * np.where(flies, vertical_share, 1.0), out=wanted[2])
+        last, most_rad = self._last[:, group], self._most_turn_rad[:, group]
+        most_norm = self._most_change[group] * self._hover_norm[group]
         change = self._within_limits(wanted, group) - last
-        np.clip(change, -most_change, most_change, out=change)
+        limited(change[:2], most_rad)
+        limited(change[2], most_norm)
         change *= flies
         last += change
         last[:] = self._within_limits(last, group)
@@ -259,20 +285,22 @@ class AttitudeCommands:
     def targets(self, group: slice) -> FloatArray:
         """The last admitted targets: (5, G) quaternion (FLU to ENU) and thrust in 0..1."""
         roll, pitch, thrust = self._last[:, group]
-        return np.vstack([quaternion_of_euler(roll, pitch, self._yaw_rad[group]), thrust])
+        targets = np.empty((5, thrust.size))
+        targets[:4], targets[4] = quaternion_of_euler(roll, pitch, self._yaw_rad[group]), thrust
+        return targets
 
     def accelerations_m_s2(self) -> FloatArray:
         """Of the last admitted targets: the sizes (B n,) of thrust per mass and gravity together."""
         roll, pitch, thrust = self._last
-        return commanded_m_s2(roll, pitch, thrust / self.hover_norm)
+        return commanded_m_s2(roll, pitch, thrust / self._true_hover_norm)
 
     def _within_limits(self, targets: FloatArray, group: slice) -> FloatArray:
-        limited = np.empty_like(targets)
-        most = self._max_tilt_rad[group]
+        within, most, hover_norm = np.empty_like(targets), self._max_tilt_rad[group], self._hover_norm[group]
         tilt = np.maximum(np.hypot(targets[0], targets[1]), most)
-        np.multiply(targets[:2], most / tilt, out=limited[:2])
-        np.clip(targets[2], self._least_norm[group], self._most_norm[group], out=limited[2])
-        return limited
+        np.multiply(targets[:2], most / tilt, out=within[:2])
+        np.maximum(targets[2], hover_norm * self._least[group], out=within[2])
+        np.minimum(within[2], np.minimum(1.0, hover_norm * self._most[group]), out=within[2])
+        return within
 
 
 def commanded_m_s2(roll_rad: FloatArray, pitch_rad: FloatArray, thrust_ratio: FloatArray) -> FloatArray:

@@ -37,13 +37,13 @@ class Autopilots:
         airframes = [scenario.stand_in.airframe for scenario in scenarios]
         self._bodies = Bodies(airframes, columns.formation)
         self._loops = AttitudeLoops(self._bodies.inertia_kg_m2)
-        self._state = self._bodies.at_rest(position_enu_m, velocity_enu_m_s)
+        self._gusts = BatchGusts(scenarios, columns)
+        self._state = self._bodies.hovering(position_enu_m, velocity_enu_m_s, self._gusts.mean_enu_m_s)
         hover_norm = columns.spread([hover_thrust_norm(scenario.stand_in) for scenario in scenarios])
         self._newton_per_thrust = self._bodies.hover_n / hover_norm
         self._instant = airframes[0].attitude == "instant"
         self._command = np.zeros((4, columns.count))
         self._goal = np.zeros((4, columns.count))
-        self._gusts = BatchGusts(scenarios, columns)
         self._errors = EstimatorErrors(scenarios, columns)
         self._turns = quaternion_of_turns(self._errors.attitude_rad)
         late = np.array([command_steps(scenario.links) for scenario in scenarios])[columns.formation]
@@ -172,8 +172,8 @@ class BatchGusts:
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns) -> None:
         winds = [scenario.stand_in.wind for scenario in scenarios]
         quiet = [wind.gust_sd_m_s == 0.0 for wind in winds]
-        self._mean = np.array([wind.mean_enu_m_s for wind in winds])[columns.formation].T.copy()
-        self._wind = self._mean.copy()
+        self.mean_enu_m_s = np.array([wind.mean_enu_m_s for wind in winds])[columns.formation].T.copy()
+        self._wind = self.mean_enu_m_s.copy()
         self._quiet = all(quiet)
         if self._quiet:
             return
@@ -187,5 +187,5 @@ class BatchGusts:
         """The wind (3, B n) of the next physics step."""
         if not self._quiet:
             self._gusts.step(self._gaussians.next())
-            np.add(self._mean, self._gusts.value, out=self._wind)
+            np.add(self.mean_enu_m_s, self._gusts.value, out=self._wind)
         return self._wind

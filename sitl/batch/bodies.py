@@ -45,12 +45,18 @@ class Bodies:
         self._three, self._two, self._two_more = np.empty((3, count)), np.empty((2, count)), np.empty((2, count))
         self._one = np.empty(count)
 
-    def at_rest(self, position_enu_m: FloatArray, velocity_enu_m_s: FloatArray) -> FloatArray:
-        """States (17, N): level, no body rates, hover thrust."""
+    def hovering(
+        self, position_enu_m: FloatArray, velocity_enu_m_s: FloatArray, wind_enu_m_s: FloatArray
+    ) -> FloatArray:
+        """States (17, N): no body rates, attitude and thrust that hover in this wind (3, N), heading east."""
         state = np.zeros((ROWS, position_enu_m.shape[1]))
         state[POSITION], state[VELOCITY] = position_enu_m, velocity_enu_m_s
-        state[6] = 1.0
-        state[13] = self.hover_n
+        drag_1_s = 0.0 if self._drag_per_mass is None else self._drag_per_mass
+        ahead, left, up = -drag_1_s * wind_enu_m_s
+        up = up + GRAVITY_M_S2
+        roll, pitch = np.arctan2(-left, np.hypot(ahead, up)), np.arctan2(ahead, up)
+        state[ATTITUDE] = quaternion_of_euler(roll, pitch, np.zeros_like(roll))
+        state[13] = self.hover_n * (np.sqrt(ahead * ahead + left * left + up * up) / GRAVITY_M_S2)
         return state
 
     def step(self, state: FloatArray, command: FloatArray, wind_enu_m_s: FloatArray, dt_s: float) -> None:
@@ -167,16 +173,17 @@ def euler_rad(attitude: FloatArray) -> FloatArray:
 
 def quaternion_of_euler(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArray) -> FloatArray:
     """Quaternions (4, k) of Rz(yaw) Ry(pitch) Rx(roll)."""
-    halves = 0.5 * np.stack([roll_rad, pitch_rad, yaw_rad])
+    halves = np.empty((3, roll_rad.size))
+    halves[0], halves[1], halves[2] = roll_rad, pitch_rad, yaw_rad
+    halves *= 0.5
     (cr, cp, cy), (sr, sp, sy) = np.cos(halves), np.sin(halves)
-    return np.stack(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
+    cc, ss, sc, cs = cr * cp, sr * sp, sr * cp, cr * sp
+    quaternion = np.empty((4, roll_rad.size))
+    quaternion[0] = cc * cy + ss * sy
+    quaternion[1] = sc * cy - cs * sy
+    quaternion[2] = cs * cy + sc * sy
+    quaternion[3] = cc * sy - ss * cy
+    return quaternion
 
 
 LOOPS = Px4.data.loops

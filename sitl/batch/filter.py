@@ -76,11 +76,17 @@ class BatchFilter:
         self._pressed = np.zeros(columns.count, dtype=np.bool_)
 
     def step(
-        self, tick: int, group: slice, telemetry: FloatArray, wanted_enu_m_s2: FloatArray, possible_enu_m_s2: FloatArray
+        self,
+        tick: int,
+        group: slice,
+        telemetry: FloatArray,
+        wanted_enu_m_s2: FloatArray,
+        possible_enu_m_s2: FloatArray,
+        disturbance_enu_m_s2: FloatArray,
     ) -> ChangedVehicles:
-        """`wanted_enu_m_s2` (3, G), and what tilt and thrust leave of it."""
+        """`wanted_enu_m_s2` (3, G), and what tilt and thrust leave of it against a horizontal disturbance (2, G)."""
         moving, heard = self._nearby.moving(group, telemetry), self._nearby.heard(tick, group)
-        most_m_s2 = np.sqrt(np.square(wanted_enu_m_s2).sum(axis=0))  # tilt and thrust only shorten it
+        most_m_s2 = np.maximum(_size(wanted_enu_m_s2), _size(possible_enu_m_s2))  # wind may push farther than is wanted
         looked_at = self._bounds.matter(group, moving, wanted_enu_m_s2, possible_enu_m_s2) | self._pressed[group]
         pairs = self._nearby.pairs(group, heard, self._separation.may_ask(group, heard, moving, most_m_s2))
         if pairs.place.size:
@@ -91,10 +97,10 @@ class BatchFilter:
             return ChangedVehicles(places, np.zeros((3, 0)), np.zeros(0))
         pairs = self._nearby.pairs(group, heard, looked_at[:, None])
         asked = self._separation.asked(pairs, moving)
-        matters = self._flyable.may_violate(pairs, asked) | self._separation.within(pairs, moving)
+        matters = self._flyable.may_violate(pairs, asked, disturbance_enu_m_s2) | self._separation.within(pairs, moving)
         matters |= _violated(pairs, asked, wanted_enu_m_s2, possible_enu_m_s2)
         near = self._singles.near(pairs, asked, np.flatnonzero(matters))
-        rows = [moving.now, moving.position_enu_m, moving.velocity_enu_m_s, wanted_enu_m_s2]
+        rows = [moving.now, moving.position_enu_m, moving.velocity_enu_m_s, wanted_enu_m_s2, disturbance_enu_m_s2]
         states = np.concatenate(rows)[:, places].T.tolist()
         allowed: list[tuple[float, ...]] = []
         for place, state in zip(places.tolist(), states, strict=True):
@@ -108,6 +114,10 @@ class BatchFilter:
     def send(self, tick: int, group: slice, telemetry: FloatArray, commanded_enu_m_s2: FloatArray) -> None:
         """Publish what these vehicles do; their commands (3, G) are those within the limits."""
         self._nearby.send(tick, group, telemetry[:6], commanded_enu_m_s2)
+
+
+def _size(a: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.square(a).sum(axis=0)))
 
 
 def _violated(pairs: Pairs, asked: AskedOfPairs, wanted: FloatArray, possible: FloatArray) -> BoolArray:
@@ -155,9 +165,9 @@ class Singles:
     def filtered(self, column: int, now_s: float, state: list[float], near: list[Barrier]) -> tuple[Filtered, bool]:
         """What the filter lets this vehicle fly, and whether another one presses it since.
 
-        `state` is its position, velocity, both after its lag, and the wanted acceleration.
+        `state` is its position, velocity, both after its lag, the wanted acceleration, and the horizontal disturbance.
         """
-        x, y, z, vx, vy, vz, qx, qy, qz, wx, wy, wz, ux, uy, uz = state
+        x, y, z, vx, vy, vz, qx, qy, qz, wx, wy, wz, ux, uy, uz, dx, dy = state
         single, error = self._of(column), self._errors[self._formation[column]]
         ahead = Ahead((qx, qy, qz), (wx, wy, wz))
         vehicle = VehicleState((x, y, z), (vx, vy, vz), now_s)
@@ -170,7 +180,7 @@ class Singles:
         slowed, speed = single.bounds.limit_speed(ahead, wanted)
         bounds = single.bounds.constraints(ahead, single.ground_enu_m) + speed
         safety_filter = single.safety_filter
-        allowed = safety_filter.allowed(now_s, vehicle, near, bounds, wanted, slowed, ZERO3, NOTHING_SEEN)
+        allowed = safety_filter.allowed(now_s, vehicle, near, bounds, wanted, slowed, (dx, dy, 0.0), NOTHING_SEEN)
         return allowed, safety_filter.is_pressed
 
     def _of(self, column: int) -> _Single:
@@ -194,19 +204,19 @@ class _Single:
 
 
 class Flyable:
-    """The accelerations that tilt and thrust allow. `most_m_s2` (B n,): none is larger."""
+    """The accelerations that tilt and thrust allow."""
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns) -> None:
         limits = [output_limits_of(scenario.fleet) for scenario in scenarios]
         level = [GRAVITY_M_S2 * e.max_thrust_ratio * tan(e.max_tilt_rad) for e in limits]
         vertical = [GRAVITY_M_S2 * max(e.max_thrust_ratio - 1.0, 1.0 - e.min_thrust_ratio) for e in limits]
         self._level_m_s2, self._vertical_m_s2 = columns.spread(level), columns.spread(vertical)
-        self.most_m_s2 = np.hypot(self._level_m_s2, self._vertical_m_s2)
 
-    def may_violate(self, pairs: Pairs, asked: AskedOfPairs) -> BoolArray:
-        """Whether one of them may violate what a pair asks (P,)."""
+    def may_violate(self, pairs: Pairs, asked: AskedOfPairs, disturbance_enu_m_s2: FloatArray) -> BoolArray:
+        """Whether one of them may violate what a pair asks (P,); horizontal disturbance (2, G)."""
         level, own = np.hypot(asked.normal[0], asked.normal[1]), pairs.own
         most_m_s2 = self._level_m_s2[own] * level + self._vertical_m_s2[own] * np.abs(asked.normal[2])
+        most_m_s2 -= (asked.normal[:2] * disturbance_enu_m_s2[:, pairs.place]).sum(axis=0)
         return np.asarray(asked.least_m_s2 > -most_m_s2)
 
 
@@ -236,7 +246,7 @@ class BatchBounds:
 
     def matter(self, group: slice, moving: Moving, wanted: FloatArray, possible: FloatArray) -> BoolArray:
         """Whether they may for these accelerations (G,). Polygons and obstacles always may."""
-        if self._is_clear(group, moving, wanted):
+        if self._is_clear(group, moving, wanted, possible):
             return ~self._is_box[group]
         position, velocity = moving.position_enu_m, moving.velocity_enu_m_s
         gaps_m = np.concatenate(
@@ -258,10 +268,11 @@ class BatchBounds:
         matter |= ~self._is_box[group]
         return np.asarray(matter)
 
-    def _is_clear(self, group: slice, moving: Moving, wanted: FloatArray) -> bool:
+    def _is_clear(self, group: slice, moving: Moving, wanted: FloatArray, possible: FloatArray) -> bool:
         """Whether none of them matters even to the nearest, the fastest and the largest acceleration of the group at once."""
         position, velocity = moving.position_enu_m, moving.velocity_enu_m_s
-        speed_m_s, most_m_s2 = (float(np.sqrt(np.square(a).sum(axis=0).max())) for a in (velocity, wanted))
+        speed_m_s, *both_m_s2 = (float(_size(a).max()) for a in (velocity, wanted, possible))
+        most_m_s2 = max(both_m_s2)
         sinks_m_s, sinks_m_s2 = max(0.0, -float(velocity[2].min())), max(0.0, -float(wanted[2].min()))
         low = (position - self._low_enu_m[:, group]).min(axis=1)
         high = (self._high_enu_m[:, group] - position).min(axis=1)

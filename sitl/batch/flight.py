@@ -30,11 +30,10 @@ from sitl.flight.scenario import Scenario
 
 # What differs from a flight of the agents, for whoever reads figures of a batch.
 LEFT_OUT = (
-    "It begins in formation: no take-off, no paths into the slots, no landing.",
+    "It begins in formation, in a hover with known mean wind and hover thrust: no take-off, no paths into the slots, no"
+    " landing.",
     "Leader, slots and reference stay as they are; the formation does not turn.",
     "No failsafe acts, and no state of a peer is refused as implausible.",
-    "Wind and thrust errors are not estimated, and velocities not corrected (law.disturbance_bandwidth_1_s and"
-    " law.velocity_correction_1_s).",
     "All vehicles receive all others at 50 Hz (peers.full_rate_up_to); a vehicle that loses the range to all neighbours gets no"
     " other one instead.",
     "The separation filter does not keep off a vehicle that was not heard for peers.max_age_s, nor traffic.",
@@ -135,7 +134,10 @@ def fly_batch(
 
 @dataclass(frozen=True, slots=True)
 class BatchStart:
-    """True positions and velocities (B, n, 3) in ENU at t = 0; attitudes are level. `reference_s` is the RFT time then."""
+    """True positions and velocities (B, n, 3) in ENU at t = 0; `reference_s` is the RFT time then.
+
+    Attitudes are those of a hover in the mean wind, which the disturbance observers know.
+    """
 
     positions_enu_m: FloatArray
     velocities_enu_m_s: FloatArray

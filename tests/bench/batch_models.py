@@ -135,7 +135,7 @@ def ours(count: int, runge_kutta: bool) -> Step:
     bodies = Bodies([Airframe()], np.zeros(count, dtype=np.int64))
     loops = AttitudeLoops(bodies.inertia_kg_m2)
     integrator = RungeKutta(bodies) if runge_kutta else bodies
-    state = bodies.at_rest(np.zeros((3, count)), np.zeros((3, count)))
+    state = bodies.hovering(*np.zeros((3, 3, count)))
     goal = np.repeat(LEAN[:, None], count, axis=1)
     command, calm = np.zeros((4, count)), np.zeros((3, 1))
     command[0] = bodies.hover_n

@@ -8,6 +8,8 @@ import pytest
 from companion.analysis.interaction import FloatArray
 from companion.config.fleet import Envelope
 from companion.core.control.setpoint import attitude_target, limit_acceleration
+from companion.core.estimation.corrections import VelocityCorrection
+from companion.core.estimation.wind import DisturbanceObserver, FlightSample
 from companion.core.safety.limits import OutputLimiter, OutputLimits
 from companion.geometry.airspace import Fence
 from companion.geometry.frames import euler_from_quaternion, quaternion_from_euler
@@ -25,6 +27,7 @@ from sitl.batch.bodies import (
     quaternion_of_turns,
 )
 from sitl.batch.columns import columns_of
+from sitl.batch.observers import DisturbanceObservers, VelocityCorrections
 from sitl.vehicle.config import Airframe
 from sitl.vehicle.control import AttitudeControl, AttitudeSetpoint
 from sitl.vehicle.dynamics import Body, small_turn, turned
@@ -106,7 +109,7 @@ def test_output_limits_equal_those_of_the_agent() -> None:
     scenarios = [platoon()] * 5
     columns = columns_of(scenarios)
     n = columns.count
-    commands = AttitudeCommands(scenarios, columns, 0.02)
+    commands = AttitudeCommands(scenarios, columns, 0.02, np.full(n, 0.49))
     euler = np.stack([np.full(n, 0.05), np.full(n, -0.02), random.uniform(-3.0, 3.0, n)])
     commands.open_at(euler)
     limits = output_limits(Envelope())
@@ -141,6 +144,90 @@ def output_limits(envelope: Envelope) -> OutputLimits:
         envelope.max_thrust_rate_1_s,
         Fence(envelope.fence_min_enu_m, envelope.fence_max_enu_m),
     )
+
+
+OBSERVERS = "fleet.law={{name: weighted, disturbance_bandwidth_1_s: {}, velocity_correction_1_s: {}}}"
+TICKS = 60
+
+
+def random_telemetry(random: np.random.Generator, count: int) -> FloatArray:
+    """(ticks, 9, count): some vehicles move wildly, all have two jumps of position and velocity."""
+    wildly = np.linspace(0.1, 1.0, count)
+    telemetry = np.cumsum(random.standard_normal((TICKS, 9, count)) * wildly * 0.2, axis=0)
+    telemetry[:, :3] *= 0.2
+    telemetry[:, 6:9] *= 0.2
+    telemetry[20:, :6] += 3.0
+    telemetry[40:, :6] -= 2.0
+    return telemetry
+
+
+@pytest.mark.parametrize("bandwidth_1_s", [0.0, 4.0])
+def test_disturbance_observers_estimate_as_those_of_the_agent(bandwidth_1_s: float) -> None:
+    """Wind and errors up to all limits; beside formations whose observers are on."""
+    random = np.random.default_rng(5)
+    airframe, assumed = "stand_in.airframe.drag_n_per_m_s=0.3", "assumed.hover_thrust_norm=0.4"
+    scenarios = [platoon(airframe, assumed, OBSERVERS.format(w, 0)) for w in (2.0, bandwidth_1_s)]
+    columns = columns_of(scenarios)
+    observers, every = DisturbanceObservers(scenarios, columns), slice(0, columns.count)
+    hover = observers.hover_norm.tolist()
+    assert sorted(set(hover)) == ([0.49] if bandwidth_1_s else [0.4, 0.49])
+    singles = [
+        DisturbanceObserver(h, 0.3, (2.0, bandwidth_1_s)[b]) for h, b in zip(hover, columns.formation, strict=True)
+    ]
+    sent = 0.49 * random.uniform(0.6, 1.4, (TICKS, columns.count))
+    largest_m_s2 = 0.0
+    for tick, telemetry in enumerate(random_telemetry(random, columns.count)):
+        observers.update(tick, every, telemetry, sent[tick])
+        for column, single in enumerate(singles):
+            *_, vx, vy, vz, roll, pitch, yaw = telemetry[:, column].tolist()
+            single.update(FlightSample(tick * 0.02, (vx, vy, vz), (roll, pitch, yaw), float(sent[tick, column])))
+        np.testing.assert_allclose(observers.hover_norm, [s.hover_thrust_norm for s in singles], rtol=1e-9)
+        disturbances = np.array([s.disturbance_enu_m_s2[:2] for s in singles]).T
+        np.testing.assert_allclose(observers.disturbance_enu_m_s2, disturbances, atol=1e-9)
+        largest_m_s2 = max(largest_m_s2, float(np.hypot(*disturbances).max()))
+    assert largest_m_s2 > 1.0
+
+
+def test_disturbance_observers_begin_with_the_mean_wind() -> None:
+    """So a vehicle that hovers in it sees no error: neither of attitude and thrust nor of velocity."""
+    wind = ("stand_in.wind.mean_enu_m_s=[4, -3, 2]", "stand_in.airframe={drag_n_per_m_s: 0.5, mass_kg: 2}")
+    scenarios = [platoon(*wind, OBSERVERS.format(4, 0))]
+    columns = columns_of(scenarios)
+    observers, every = DisturbanceObservers(scenarios, columns), slice(0, columns.count)
+    begin = observers.disturbance_enu_m_s2.copy(), observers.hover_norm.copy()
+    assert begin[0][:, 0] == pytest.approx((1.0, -0.75), rel=0.06)
+    still = np.zeros((3, columns.count))
+    bodies = Bodies([s.stand_in.airframe for s in scenarios], columns.formation)
+    wind_enu_m_s = np.repeat([[4.0], [-3.0], [2.0]], columns.count, axis=1)
+    state = bodies.hovering(still, still, wind_enu_m_s)
+    rate = bodies.rate_of_change(state, state[13:17], wind_enu_m_s, np.empty_like(state))
+    np.testing.assert_allclose(rate[3:6], 0.0, atol=1e-12)
+    telemetry = np.concatenate([still, still, euler_rad(state[6:10])])
+    for tick in range(50):
+        observers.update(tick, every, telemetry, 0.49 * state[13] / bodies.hover_n)
+    np.testing.assert_allclose(observers.disturbance_enu_m_s2, begin[0], atol=1e-12)
+    np.testing.assert_allclose(observers.hover_norm, begin[1], atol=1e-12)
+
+
+def test_velocities_are_corrected_as_by_the_agent() -> None:
+    """Two formations with it, up to its limits and over jumps of the position, and one without."""
+    random = np.random.default_rng(6)
+    bandwidths_1_s = (2.0, 8.0, 0.0)
+    scenarios = [platoon(OBSERVERS.format(0, w)) for w in bandwidths_1_s]
+    columns = columns_of(scenarios)
+    corrections, every = VelocityCorrections(scenarios, columns), slice(0, columns.count)
+    singles = [VelocityCorrection(w) if (w := bandwidths_1_s[b]) else None for b in columns.formation.tolist()]
+    largest_m_s = 0.0
+    for tick, telemetry in enumerate(random_telemetry(random, columns.count)):
+        corrected = telemetry.copy()
+        corrections.follow(tick, every, corrected)
+        for column, single in enumerate(singles):
+            x, y, z, *velocity = telemetry[:6, column].tolist()
+            expected = single.follow(tick * 0.02, (x, y, z), tuple(velocity)) if single else velocity
+            np.testing.assert_allclose(corrected[3:6, column], expected, atol=1e-9)
+        np.testing.assert_array_equal(np.delete(corrected, [3, 4, 5], axis=0), np.delete(telemetry, [3, 4, 5], axis=0))
+        largest_m_s = max(largest_m_s, float(np.linalg.norm(corrected - telemetry, axis=0).max()))
+    assert largest_m_s == pytest.approx(0.6)
 
 
 def test_columns_are_sorted_by_phase_and_map_back_to_vehicles() -> None:
