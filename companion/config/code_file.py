@@ -175,6 +175,8 @@ def _refuse_foreign(path: Path, state: os.stat_result) -> None:
     if state.st_uid not in (os.geteuid(), 0):
         expected = f"that of this process ({os.geteuid()}) or root"
         raise ConfigError(path, "", f"belongs to user {state.st_uid}; expected {expected}, as its code is run")
+    if state.st_mode & stat.S_ISVTX and stat.S_ISDIR(state.st_mode):  # like /tmp, where everybody has files
+        raise ConfigError(path, "", "everybody may write files there, and its code is run; use a folder of your own")
     if state.st_mode & WRITABLE_BY_OTHERS:
         mode = f"mode {stat.S_IMODE(state.st_mode):o}"
         raise ConfigError(path, "", f"others may write it ({mode}) and its code is run; chmod go-w {path}")

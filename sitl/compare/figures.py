@@ -11,6 +11,7 @@ from math import isfinite
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.analysis.interaction import FloatArray
 from companion.analysis.prediction import settle_time_s
@@ -55,6 +56,7 @@ class Figures(Struct, frozen=True, kw_only=True):
     effort_m_s2: root mean square of the commanded acceleration, of all vehicles
     bytes_per_s: bytes of state packets that one vehicle publishes per second
     connected_share: share of the time in which every vehicle had a path to a leader, where neighbours change with range
+    failure: why the flight ended before its time; then it has no figure
     """
 
     settle_s: float | None
@@ -66,6 +68,7 @@ class Figures(Struct, frozen=True, kw_only=True):
     effort_m_s2: float | None
     bytes_per_s: float | None
     connected_share: float | None
+    failure: str | None
 
 
 NOTHING = Figures(**dict.fromkeys(Figures.__struct_fields__))
@@ -74,8 +77,8 @@ DIGITS = {"settle_s": 2, "bytes_per_s": 0}  # others have four
 
 def figures_of(flown: FlownFormation, scenario: Scenario, hop_gains: bool) -> Figures:
     """`hop_gains`: whether deviations are those of the law, not of noise."""
-    if np.isnan(flown.positions_enu_m[-1]).any():  # its law failed
-        return NOTHING
+    if np.isnan(flown.positions_enu_m[-1]).any():
+        return failed("its positions end before the flight")
     displaced_m = flown.positions_enu_m - flown.slots_enu_m
     errors_m = np.linalg.norm(displaced_m - flown.reference_enu_m[:, None, :], axis=2)
     final = np.sqrt(np.mean(np.square(errors_m[flown.times_s >= flown.times_s[-1] - FINAL_S - 1e-9]), axis=0))
@@ -91,7 +94,12 @@ def figures_of(flown: FlownFormation, scenario: Scenario, hop_gains: bool) -> Fi
         "bytes_per_s": PACKETS_HZ * packet_bytes(scenario.fleet.law),
         "connected_share": None if flown.connected is None else float(np.mean(flown.connected)),
     }
-    return Figures(**{name: _rounded(value, DIGITS.get(name, 4)) for name, value in found.items()})
+    return Figures(**{name: _rounded(value, DIGITS.get(name, 4)) for name, value in found.items()}, failure=None)
+
+
+def failed(why: str) -> Figures:
+    """Of a flight that ended before its time."""
+    return replace(NOTHING, failure=why)
 
 
 def _overshoot_m(off_m: FloatArray) -> float:

@@ -16,7 +16,7 @@ from sitl.autopilots.types import hover_thrust_norm
 from sitl.batch.agents import commanded_m_s2
 from sitl.batch.columns import BoolArray
 from sitl.batch.flight import BatchFlight, fly_batch
-from sitl.compare.figures import NOTHING, Figures, FlownFormation, figures_of
+from sitl.compare.figures import NOTHING, Figures, FlownFormation, failed, figures_of
 from sitl.compare.plan import CellFlight
 from sitl.flight.files import ids_of
 from sitl.flight.scenario import Scenario, reference_of
@@ -104,7 +104,7 @@ def fly_job(job: FlightJob) -> list[Figures]:
 
 
 def fly_in_a_batch(flights: Sequence[CellFlight], seconds: float) -> list[Figures]:
-    """Figures of flights of one kind; none of those that a law has ended."""
+    """Figures of flights of one kind."""
 
     def progress(flown_s: float) -> None:
         report_progress(flown_s / seconds)
@@ -113,7 +113,7 @@ def fly_in_a_batch(flights: Sequence[CellFlight], seconds: float) -> list[Figure
     by_range = not isinstance(scenarios[0].fleet.neighbours, EdgeNeighbours)
     flown = fly_batch(scenarios, seconds, progress, sample_s=SAMPLE_S, keep_neighbours=by_range)
     return [
-        NOTHING
+        failed(flown.failures[b])
         if b in flown.failures
         else figures_of(_of_batch(flown, b, flight.scenario), flight.scenario, flight.repeats)
         for b, flight in enumerate(flights)

@@ -119,7 +119,13 @@ def report_text(result: Compared, cells: ByCell) -> str:
     sizes = "1 vehicle" if vehicles == [1] else f"{', '.join(map(str, vehicles))} vehicles"
     stopped = "" if result.complete else f"; stopped before the end, {result.planned} were planned"
     heading = f"{result.flights} flights of {sizes}, {result.seconds:g} s each{stopped}"
-    parts = [heading, _table(result.cells), "\n".join(wins_text(result)), "\n".join(checks_text(result.checks))]
+    parts = [
+        heading,
+        _table(result.cells),
+        "\n".join(failures_text(cells)),
+        "\n".join(wins_text(result)),
+        "\n".join(checks_text(result.checks)),
+    ]
     if by_agents := conditions_by_agents(cells):
         parts.append(f"flown by the agents one by one, not in a batch: {', '.join(by_agents)}")
     parts.append("\n".join(["what a batch leaves out:", *(f"  {line}" for line in LEFT_OUT)]))
@@ -145,7 +151,8 @@ def _table(cells: Sequence[CellSummary]) -> str:
 
 def _cells(one: CellSummary) -> list[str]:
     shown = [interval_text(name, one.figures.get(name)) for name in SHOWN]
-    return [one.place, one.law, str(one.flights), f"{100.0 * one.settled_share:.0f} %", *shown]
+    flights = f"{one.flights}, {one.failed} failed" if one.failed else str(one.flights)
+    return [one.place, one.law, flights, f"{100.0 * one.settled_share:.0f} %", *shown]
 
 
 def interval_text(name: str, figure: MedianInterval | None) -> str:
@@ -161,6 +168,14 @@ def number_text(name: str, value: float | None) -> str:
     return missing if value is None else f"{value:.{MEANINGS[name].digits}f}"
 
 
+def failures_text(cells: ByCell) -> Iterator[str]:
+    """One line for each law and place of which a flight has failed: how many, and why the first."""
+    for cell, flown in cells.items():
+        reasons = [one.figures.failure for one in flown if one.figures.failure is not None]
+        if reasons:
+            yield f"failed: {cell.law}, {cell.place.name}, {len(reasons)} of {len(flown)} flights: {reasons[0]}"
+
+
 def wins_text(result: Compared) -> Iterator[str]:
     """For each figure: in how many places each law is the best one."""
     for name, meaning in MEANINGS.items():
@@ -168,7 +183,8 @@ def wins_text(result: Compared) -> Iterator[str]:
         places = sum(one.figure == name for one in result.winners)
         if own:
             counts = ", ".join(f"{law} in {count}" for law, count in Counter(one.law for one in own).most_common())
-            yield f"best by {meaning.label}: {counts} of {places}, the others are not clear"
+            others = ", the others are not clear" if len(own) < places else ""
+            yield f"best by {meaning.label}: {counts} of {places}{others}"
     if result.seeds < FEWEST_SEEDS:
         yield f"with fewer than {FEWEST_SEEDS} seeds no law is called the best"
 

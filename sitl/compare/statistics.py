@@ -65,11 +65,12 @@ class MedianInterval(Struct, frozen=True, kw_only=True):
 
 
 class CellSummary(Struct, frozen=True, kw_only=True):
-    """The figures of one law in one place. Those that its flights do not have are left out."""
+    """The figures of one law in one place. Those that its flights do not have are left out, and flights that have failed."""
 
     law: str
     place: str
     flights: int
+    failed: int
     settled_share: float
     figures: dict[str, MedianInterval]
 
@@ -120,16 +121,22 @@ def summaries(cells: ByCell) -> list[CellSummary]:
 
 def _summary(cell: Cell, flown: Sequence[FlownFlight]) -> CellSummary:
     settled = sum(one.figures.settle_s is not None for one in flown)
-    found = {name: values_of(flown, name) for name in MEANINGS}
+    found = {name: values_of(complete(flown), name) for name in MEANINGS}
     return CellSummary(
         law=cell.law,
         place=cell.place.name,
         flights=len(flown),
+        failed=sum(one.figures.failure is not None for one in flown),
         settled_share=round(settled / len(flown), 4),
         figures={
             name: interval(values[~np.isnan(values)]) for name, values in found.items() if not np.isnan(values).all()
         },
     )
+
+
+def complete(flown: Sequence[FlownFlight]) -> list[FlownFlight]:
+    """Those that have not failed."""
+    return [one for one in flown if one.figures.failure is None]
 
 
 def values_of(flown: Sequence[FlownFlight], name: str) -> FloatArray:
@@ -160,10 +167,14 @@ def _number(value: float) -> float | None:
 
 
 def winners(cells: ByCell) -> list[Winner]:
-    """By place and figure, where at least two laws have the figure and any of them is better than none."""
+    """By place and figure, where at least two laws have the figure and any of them is better than none.
+
+    A law of which any flight has failed is the best nowhere in that place.
+    """
     places: dict[Place, list[Cell]] = {}
-    for cell in cells:
-        places.setdefault(cell.place, []).append(cell)
+    for cell, flown in cells.items():
+        if len(complete(flown)) == len(flown):
+            places.setdefault(cell.place, []).append(cell)
     found = (_winner(cells, own, name) for own in places.values() for name in MEANINGS)
     return [one for one in found if one is not None]
 

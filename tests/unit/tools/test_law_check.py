@@ -25,7 +25,7 @@ SUBTLE = {
     # Each passes the few calls of a configuration; the longer check finds it.
     "any state": law("        if len(neighbours) > 20:\n            return (float('inf'), 0.0, 0.0)\n" + FLOWN),
     "same again": law(
-        "        KEPT.append(own)\n        if len(KEPT) % 7:\n    " + FLOWN + "        return (0.0, 0.0, 0.0)\n",
+        "        KEPT.append(own)\n        if len(KEPT) % 13:\n    " + FLOWN + "        return (0.0, 0.0, 0.0)\n",
         "KEPT = []\n",
     ),
     "moved": law(
@@ -67,6 +67,17 @@ def test_what_a_few_calls_do_not_find(subject: str, tmp_path: Path) -> None:
 def test_the_shipped_laws_pass(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     code = main(["law", "check", name])
     assert code == 0, capsys.readouterr().out
+
+
+@pytest.mark.parametrize("given", ["(1.0, 2.0)", "None", "'abc'", "5.0"])
+def test_an_answer_of_another_shape(given: str, tmp_path: Path) -> None:
+    (line,) = failed(write_law(tmp_path, "bad", law(f"        return {given}\n"))).values()
+    assert f"with no neighbour its acceleration is {given}; expected (x, y, z), three numbers" in line
+
+
+def test_a_law_that_needs_a_neighbour(tmp_path: Path) -> None:
+    source = law("        return (1.0 / len(neighbours), 0.0, 0.0)\n")
+    assert "line 8: ZeroDivisionError" in failed(write_law(tmp_path, "bad", source))["first calls"]
 
 
 def test_a_number_without_bounds(tmp_path: Path) -> None:

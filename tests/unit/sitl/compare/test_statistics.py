@@ -13,11 +13,11 @@ import companion.laws.cooperative as cooperative_law
 from companion.config.law import LawSection
 from lockstep_fleet import platoon
 from sitl.compare.command import FlownCells, write_folder
-from sitl.compare.figures import NOTHING, Figures, FlownFormation, closest_m, figures_of, packet_bytes
+from sitl.compare.figures import NOTHING, Figures, FlownFormation, closest_m, failed, figures_of, packet_bytes
 from sitl.compare.flights import connected
 from sitl.compare.options import CompareOptions
 from sitl.compare.plan import Plan, law_of_text, plan_of
-from sitl.compare.report import compared, report_text, rows_of
+from sitl.compare.report import compared, failures_text, report_text, rows_of
 from sitl.compare.statistics import FEWEST_SEEDS, FlownFlight, Winner, by_cell, checks, interval, summaries, winners
 
 SEEDS = 6
@@ -72,7 +72,7 @@ def test_figures_of_a_step() -> None:
     assert one.overshoot_m is None and one.settle_s is None
     positions[400:] = np.nan
     failed = FlownFormation(times_s, positions, goal, slots, commanded, None)
-    assert figures_of(failed, platoon(), hop_gains=False) == NOTHING
+    assert figures_of(failed, platoon(), hop_gains=False).failure is not None
 
 
 def test_the_closest_pair_is_found_and_one_vehicle_has_none() -> None:
@@ -225,6 +225,18 @@ def test_the_text_says_what_is_missing() -> None:
     text = report_text(result, by_cell(rows))
     assert text.startswith("5 flights of 4 vehicles, 30 s each; stopped before the end, 48 were planned")
     assert "what a batch leaves out:" in text
+
+
+def test_a_law_of_which_a_flight_has_failed_is_the_best_nowhere() -> None:
+    rows = flown(cooperative=failed("line 3: ZeroDivisionError"))
+    cells = by_cell(rows)
+    assert winners(cells) == []  # the other one has nobody beside it
+    lost = [one for one in summaries(cells) if one.failed]
+    assert {(one.law, one.failed, len(one.figures)) for one in lost} == {("cooperative", SEEDS, 0)}
+    lines = list(failures_text(cells))
+    assert len(lines) == 4  # places
+    assert lines[0].endswith(f"{SEEDS} of {SEEDS} flights: line 3: ZeroDivisionError")
+    assert {row["failure"] for row in rows_of(rows)} == {None, "line 3: ZeroDivisionError"}
 
 
 def test_a_flight_without_formation_never_settled() -> None:
