@@ -15,6 +15,7 @@ from companion.analysis.response import TICK_S, LinearModel
 
 NOTHING = 1e-12  # an eigenvalue or pole at zero
 ALL = 1.0 + 1e-9  # of what is handed on, with rounding: more would grow by itself
+SAMPLED_RAD_S = 0.9 * pi / TICK_S  # below half the rate of the ticks
 LEAST_LAST_RAD_S = 80.0
 SLOWER = 0.02  # times the lowest frequency at which anything turns
 PER_DECADE = 30  # grid points
@@ -79,6 +80,8 @@ def _grid_rad_s(
     grown = len(coupling.prcs) / max(1.0 - handed_on, 0.01)
     while abs((position + 1j * velocity * last) * model.flown_share(1j * last)) / last**2 * grown > 0.5:
         last *= 1.5
+    if coupling.law.memory:  # beyond, a state that is sampled has poles of its own, at every multiple of its rate
+        last = min(last, SAMPLED_RAD_S)
     turning_s = max(model.feedforward_delay_s, model.neighbour_delay_s, TICK_S if coupling.law.memory else 0.0)
     even = np.arange(1.0, 1.0 + turning_s * last) / turning_s if turning_s > 0.0 else np.empty(0)
     return np.unique(np.concatenate([np.geomspace(first, last, round(PER_DECADE * log10(last / first))), even]))

@@ -380,3 +380,13 @@ def test_the_law_of_a_file_that_cannot_keep_the_pace_is_refused(tmp_path: Path) 
     (tmp_path / "scenario.yaml").write_text(yaml.safe_dump(data))
     with pytest.raises(ConfigError, match="with two_in_series"):
         load_scenario(tmp_path / "scenario.yaml")
+
+
+def test_the_margin_without_lag_of_a_sampled_integral_is_that_of_the_continuous_loop() -> None:
+    """One vehicle with its reference: (k2 s + k1 + k3/s) e^(-sd) / s^2 crosses 1 once, and its phase margin is the delay."""
+    omega = np.geomspace(0.5, 10.0, 20_000)
+    loop = (2.4j * omega + 2.0 + 0.3 / (1j * omega)) / (1j * omega) ** 2
+    crossing = int(np.argmin(np.abs(np.abs(loop) - 1.0)))
+    margin_s = (np.pi + np.angle(loop[crossing])) % (2.0 * np.pi) / omega[crossing]
+    found_s = delay_margin_with_lag_s(couple(chain(1), {1}, Integral()), LinearModel(0.0, 0.0, 0.0))
+    assert found_s == pytest.approx(margin_s, abs=0.01)
