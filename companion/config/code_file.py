@@ -42,7 +42,7 @@ class CodeFile:
     sha256: str
 
 
-_loaded: dict[str, CodeFile] = {}  # by SHA-256: what has passed the checks of a file of this machine
+LOADED: dict[str, CodeFile] = {}  # by SHA-256: what has passed the checks of a file of this machine
 
 
 def load_code(path: Path, beside: Path) -> CodeFile:
@@ -55,8 +55,8 @@ def load_code(path: Path, beside: Path) -> CodeFile:
     from hashlib import sha256  # here: see `formation_hash` in fleet.py
 
     digest = sha256(source).hexdigest()
-    if digest in _loaded:
-        return _loaded[digest]
+    if digest in LOADED:
+        return LOADED[digest]
     if (found := more_than_computing(source, file)) is not None:
         raise found
     module = ModuleType(f"companion_code_{digest}")
@@ -67,12 +67,12 @@ def load_code(path: Path, beside: Path) -> CodeFile:
     except (Exception, SystemExit) as error:
         del sys.modules[module.__name__]
         raise code_error(file, error) from error
-    return _loaded.setdefault(digest, CodeFile(module.__dict__, digest))
+    return LOADED.setdefault(digest, CodeFile(module.__dict__, digest))
 
 
 def loaded_code(file: str, sha256: str | None) -> CodeFile:
     """The code with this content, which has been loaded. Raises ConfigError: a recording or a command brings no code."""
-    code = _loaded.get(sha256 or "")
+    code = LOADED.get(sha256 or "")
     if code is None:
         wanted = f" with the SHA-256 {sha256}" if sha256 else ""
         expected = "expected the file of a fleet file, a vehicle file or a scenario beside it, or of --code"
@@ -82,7 +82,7 @@ def loaded_code(file: str, sha256: str | None) -> CodeFile:
 
 def is_loaded(sha256: object) -> bool:
     """Whether the code with this content has been loaded."""
-    return sha256 in _loaded
+    return sha256 in LOADED
 
 
 def read_section(section: dict[str, Any], where: str, beside: Path) -> dict[str, Any]:

@@ -316,7 +316,7 @@ def test_another_process_loads_the_file_itself(beside: Path, monkeypatch: pytest
     assert pickle.loads(pickle.dumps(reference)) == reference
     pickled = pickle.dumps(reference)
     written(beside, CODE + "\n", "circle.py")
-    monkeypatch.setattr(code_file, "_loaded", {})  # as that process
+    monkeypatch.setattr(code_file, "LOADED", {})  # as that process
     with pytest.raises(ConfigError, match="sha256"):
         pickle.loads(pickled)
 
