@@ -19,7 +19,7 @@ from companion.types.formation import FlownSlot, LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.wire.keys import peer_key
-from companion.wire.messages import encode_peer
+from companion.wire.messages import WIRE_VERSION, encode_peer
 from processes import free_fleet_offset
 from sitl.links.ports import LOOPBACK, ports_of
 from sitl.report.summary import read_summary
@@ -33,7 +33,7 @@ REJECTED = {
     f"{Code.PEER_NOT_FINITE} 3",
     f"{Code.PEER_POSITION_IMPLAUSIBLE} 3",
     f"{Code.PEER_NOT_A_LEADER} 3",
-    f"{Code.WIRE_VERSION_DIFFERS} 11",
+    f"{Code.WIRE_VERSION_DIFFERS} {WIRE_VERSION + 1}",
     Code.PEER_MALFORMED,
     Code.PEER_KEY_MISMATCH,
 }
@@ -64,7 +64,7 @@ def rogue_packets(formation_hash: int) -> Iterator[bytes]:
     yield encode_peer(with_fields(packet, position_enu_m=(1e9, 0.0, 0.0)))
     yield encode_peer(with_fields(packet, role=Role.LEADER, prc=1))
     good = encode_peer(packet)
-    yield b"\x0b" + good[1:]
+    yield bytes((WIRE_VERSION + 1,)) + good[1:]
     yield good[:-7]
     yield good
 

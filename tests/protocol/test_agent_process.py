@@ -23,7 +23,7 @@ from companion.types.errors import EXIT_DEFECT
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.wire.keys import command_key, peer_key
-from companion.wire.messages import StatusReport
+from companion.wire.messages import WIRE_VERSION, StatusReport
 from processes import AgentFiles, Running, agent, agent_files, companion, faulty_agent
 from wire_autopilots import LOITER, OFFBOARD, HoveringAutopilot
 
@@ -156,11 +156,11 @@ def test_rejected_packets_are_counted_reported_and_logged_once_a_second(files: A
         closing(open_session((), (files.zenoh,))) as rogue,
     ):
         newest(session)
-        key = f"{Code.WIRE_VERSION_DIFFERS} 11"
+        key = f"{Code.WIRE_VERSION_DIFFERS} {WIRE_VERSION + 1}"
         start_s = time.monotonic()
 
         def disturbed() -> bool:
-            rogue.put(peer_key("processtest", 2), b"\x0bwhatever")
+            rogue.put(peer_key("processtest", 2), bytes((WIRE_VERSION + 1,)) + b"whatever")
             return newest(session).status.rejected.get(key, 0) >= 30
 
         until(disturbed, timeout_s=60.0)

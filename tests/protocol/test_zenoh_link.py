@@ -210,7 +210,7 @@ def test_agents_connect_to_configured_peers_only(port: int, other_port: int) -> 
 def test_a_malformed_peer_packet_is_rejected_and_counted(port: int) -> None:
     good = encode_peer(PACKET)
     bad = {
-        f"{Code.WIRE_VERSION_DIFFERS} 11": (1, b"\x0b" + good[1:]),
+        f"{Code.WIRE_VERSION_DIFFERS} {WIRE_VERSION + 1}": (1, bytes((WIRE_VERSION + 1,)) + good[1:]),
         Code.PEER_MALFORMED: (1, good[:-3]),
         Code.MESSAGE_EMPTY: (1, b""),
         Code.PEER_KEY_MISMATCH: (3, good),
@@ -576,7 +576,7 @@ def test_commands_of_two_ground_stations_with_the_same_number_are_both_answered(
     ("payload", "key"),
     [
         (bytes((WIRE_VERSION,)) + b"garbage", Code.COMMAND_MALFORMED),
-        (b"\x0b", f"{Code.WIRE_VERSION_DIFFERS} 11"),
+        (bytes((WIRE_VERSION + 1,)), f"{Code.WIRE_VERSION_DIFFERS} {WIRE_VERSION + 1}"),
         (b"", Code.MESSAGE_EMPTY),
         (encode(REPORT), Code.COMMAND_MALFORMED),
     ],
