@@ -59,7 +59,7 @@ def linearised(
 
     Raises ConfigError where the law raises an exception, or gives something else than it has to.
     """
-    case = _Case(law, leads, tuple(prcs), drag_1_s)
+    case = _Case(law.near_formation(), leads, tuple(prcs), drag_1_s)
     return _linearised(case, tuple(slots_enu_m) if _reads_slots(case) else _spread(len(prcs)))
 
 

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from traceback import extract_tb
+from traceback import walk_tb
 from types import ModuleType
 from typing import Any
 
@@ -24,6 +24,7 @@ from companion.types.values import cut, quoted
 
 WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 LONGEST_ERROR = 200
+CODE = "companion_code_"  # begin of the names of modules that are loaded here; the same content may be in several files
 DOES_MORE = {
     *("asyncio", "builtins", "concurrent", "ctypes", "datetime", "ftplib", "http", "importlib", "io", "logging"),
     *("mmap", "multiprocessing", "os", "pathlib", "pickle", "queue", "random", "requests", "secrets", "select"),
@@ -59,7 +60,7 @@ def load_code(path: Path, beside: Path) -> CodeFile:
         return LOADED[digest]
     if (found := more_than_computing(source, file)) is not None:
         raise found
-    module = ModuleType(f"companion_code_{digest}")
+    module = ModuleType(f"{CODE}{digest}")
     module.__file__ = str(file)
     sys.modules[module.__name__] = module  # where dataclasses and pickle look for what it defines
     try:
@@ -163,9 +164,9 @@ def code_error(file: Path, error: BaseException) -> ConfigError:
     if isinstance(error, SyntaxError):
         line = error.lineno
     else:
-        line = next(
-            (frame.lineno for frame in reversed(extract_tb(error.__traceback__)) if frame.filename == str(file)), None
-        )
+        frames = walk_tb(error.__traceback__)
+        lines = [line for frame, line in frames if str(frame.f_globals.get("__name__")).startswith(CODE)]
+        line = lines[-1] if lines else None
     text = cut(f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": "), LONGEST_ERROR)
     return ConfigError(file, f"line {line}" if line else "", text)
 

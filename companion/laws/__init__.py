@@ -96,6 +96,10 @@ class Law(Struct, frozen=True, forbid_unknown_fields=True):
         """The values for the neighbours. Called after `acceleration`, where `publishes` is not 0."""
         return ()
 
+    def near_formation(self) -> Law:
+        """The law that analysis linearises in place of this one: itself, unless it has no linearisation where it settles."""
+        return self
+
     def weights(self, leads: bool, prcs: Sequence[int]) -> tuple[float, ...]:  # noqa: ARG002
         """w_ij of neighbours with these PrCs, in their order, for status and for a vehicle that the filter keeps off its slot.
 

@@ -26,6 +26,7 @@ from math import hypot
 from typing import Annotated
 
 from msgspec import Meta
+from msgspec.structs import replace
 
 from companion.laws import FormationState, Gain, Law, Neighbour, Own
 from companion.laws._followed import followed
@@ -51,6 +52,10 @@ class Trimmed(Law, frozen=True):
     position_gain_1_s2: Gain = 2.0
     velocity_gain_1_s: Gain = 2.4
     feedforward: Share = 0.98
+
+    def near_formation(self) -> Law:
+        """The mean of the nearest neighbours: where all agree, dropping the one that is moved would leave no coupling."""
+        return replace(self, most_liars=0)
 
     def weights(self, leads: bool, prcs: Sequence[int]) -> tuple[float, ...]:
         """Equal ones for the 2f + 1 neighbours nearest to a leader, and for all as near as the last of them."""

@@ -143,12 +143,12 @@ class Mine(Law, frozen=True):
     publishes = 2
 
     def acceleration(self, own, neighbours, reference):
-        seen = [*neighbours, reference] if reference is not None else neighbours
+        seen = [*neighbours, reference] if reference is not None else neighbours or [own]
         wanted = []
         for k in range(3):
             off = own.position_enu_m[k] - sum(one.position_enu_m[k] for one in seen) / len(seen)
-            moves = own.velocity_enu_m_s[k] - 0.5 * sum(one.values[0][k] for one in neighbours) / len(neighbours)
-            fed = 0.3 * sum(one.values[1][k] for one in neighbours) / len(neighbours)
+            moves = own.velocity_enu_m_s[k] - 0.5 * sum(one.values[0][k] for one in neighbours) / max(1, len(neighbours))
+            fed = 0.3 * sum(one.values[1][k] for one in neighbours) / max(1, len(neighbours))
             wanted.append(-1.4 * off - 1.5 * moves + fed - 0.2 * own.memory[0][k])
         return tuple(wanted)
 

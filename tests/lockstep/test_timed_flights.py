@@ -10,6 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from common import ROOT
+from companion.config import code_file
 from companion.config.file import ConfigError
 from companion.config.reference import PointReference
 from companion.config.vehicle import load_agent
@@ -93,7 +94,7 @@ def test_a_step_of_the_timeline_brings_samples_and_no_code(tmp_path: Path) -> No
         load_scenario(tmp_path / "platoon.yaml", [f"timeline[4]={step.replace(SAMPLES, FUNCTION)}", *FLOWN])
 
 
-def test_a_recording_runs_no_code(tmp_path: Path) -> None:
+def test_a_recording_runs_no_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scenario_with(tmp_path, FUNCTION)
     out = tmp_path / "out"
     overrides = (f"reference={FUNCTION}", *FLOWN, "timeline[3].for_s=0.5")
@@ -102,5 +103,6 @@ def test_a_recording_runs_no_code(tmp_path: Path) -> None:
     header = recordings(out, print)[0].header
     recorded_config(out, header)  # in the process that has loaded it
     elsewhere = header.vehicle_file.replace("path.py", "other.py")
-    with pytest.raises(ConfigError, match="is code, which runs only where"):
+    monkeypatch.setattr(code_file, "LOADED", {})  # another process
+    with pytest.raises(ConfigError, match=r"is code with the SHA-256 [0-9a-f]{64} that has not been read"):
         recorded_config(out, replace(header, vehicle_file=elsewhere))

@@ -26,7 +26,7 @@ class Mine(Law, frozen=True):
     gain: float = 1.4
 
     def off(self, own, neighbours, reference):
-        seen = [*neighbours, reference] if reference is not None else neighbours
+        seen = [*neighbours, reference] if reference is not None else neighbours or [own]
         return tuple(
             own.position_enu_m[k] - sum(one.position_enu_m[k] for one in seen) / len(seen) for k in range(3)
         )
@@ -34,7 +34,7 @@ class Mine(Law, frozen=True):
     def acceleration(self, own, neighbours, reference):
         wanted = []
         for axis, off in enumerate(self.off(own, neighbours, reference)):
-            others = sum(one.values[0][axis] for one in neighbours) / len(neighbours)
+            others = sum(one.values[0][axis] for one in neighbours) / max(1, len(neighbours))
             left = own.velocity_enu_m_s[axis] - 0.3 * others
             wanted.append(-self.gain * off - 1.5 * left - 0.1 * own.memory[0][axis])
         return tuple(wanted)
