@@ -146,7 +146,7 @@ def _linearised(case: _Case, slots: tuple[Vector3, ...]) -> LinearLaw:
         if _adds_up(case, slots, columns, step, axes):
             remarks = such
             break
-    rows = list(zip(*columns, strict=True))  # by output
+    rows = _without_unused_memory(list(zip(*columns, strict=True)), case.law.memory)  # by output
     law, first = case.law, STATES + case.law.memory
     width, last = STATES + law.publishes, len(columns) - STATES * case.leads
     return LinearLaw(
@@ -155,6 +155,18 @@ def _linearised(case: _Case, slots: tuple[Vector3, ...]) -> LinearLaw:
         reference=tuple([row[last:] if case.leads else (0.0,) * STATES for row in rows]),
         remarks=remarks,
     )
+
+
+def _without_unused_memory(rows: list[Row], memory: int) -> list[Row]:
+    """Memory that nothing else depends on and that does not grow by itself, like a counter, is zero here.
+
+    It never decays, and need not for the errors to decay.
+    """
+    used = {0, *range(1 + memory, len(rows))}  # outputs: acceleration, and values
+    while more := {1 + m for m in range(memory) if any(rows[output][STATES + m] for output in used)} - used:
+        used |= more
+    grows = any(sum(map(abs, rows[k][STATES : STATES + memory])) > 1.0 for k in range(1, 1 + memory) if k not in used)
+    return rows if grows else [row if k in used else (0.0,) * len(row) for k, row in enumerate(rows)]
 
 
 def _columns(case: _Case, slots: Sequence[Vector3], step: float, axes: Vector3) -> list[Row]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import dist
-from typing import Any, SupportsFloat
+from typing import SupportsFloat
 
 from companion.laws import Law, Neighbour, Own
 from companion.laws._feedback_gains import feedback_gains
@@ -19,14 +19,12 @@ ELSEWHERE_ENU_M: Vector3 = (1000.0, -2000.0, 100.0)
 def trial_problem(law: Law) -> str:
     """Why this law must not fly; empty where these calls find nothing. Raises whatever the law raises."""
     alone = Own(ZERO3, ZERO3, memory=(ZERO3,) * law.memory)
-    for neighbours, given in (("no neighbour", law.acceleration(alone, (), None)), ("one", _asked(law, ZERO3))):
+    here = _beside_one_neighbour(law, ZERO3)
+    for neighbours, given in (("no neighbour", law.acceleration(alone, (), None)), ("one neighbour", here)):
         if not (
-            isinstance(given, tuple | list)
-            and len(given) == 3
-            and all(isinstance(axis, SupportsFloat) for axis in given)
+            isinstance(given, tuple | list) and len(given) == 3 and all(isinstance(a, SupportsFloat) for a in given)
         ):
             return f"with {neighbours} its acceleration is {given!r:.60}; expected (x, y, z), three numbers"
-    here = _beside_one_neighbour(law, ZERO3)
     if not all(-MOST_BESIDE_M_S2 <= axis <= MOST_BESIDE_M_S2 for axis in here):
         return f"within 1 m of its neighbour it gives {here} m/s^2; expected numbers up to {MOST_BESIDE_M_S2:g}"
     gains = feedback_gains(law)
@@ -43,12 +41,6 @@ def trial_problem(law: Law) -> str:
 
 
 def _beside_one_neighbour(law: Law, place_enu_m: Vector3) -> Vector3:
-    a, b, c = _asked(law, place_enu_m)
-    return (a, b, c)
-
-
-def _asked(law: Law, place_enu_m: Vector3) -> Any:
-    """Whatever the law gives beside one neighbour."""
     x, y, z = place_enu_m
     memory = (ZERO3,) * law.memory
     ahead = Own(place_enu_m, (0.5, 0.0, 0.0), memory=memory)

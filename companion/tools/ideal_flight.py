@@ -1,5 +1,6 @@
-"""A flight of five ideal vehicles (double integrators) in a line, of whom the first leads and each hears the one before and the
-one behind it. Whoever moves or turns that whole world must get the same flight, moved or turned.
+"""A flight of five ideal vehicles (double integrators) in a line. The first leads, and neighbours in the line hear each other.
+
+A world that is moved or turned as a whole must give the same flight, moved or turned.
 """
 
 from __future__ import annotations

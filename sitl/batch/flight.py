@@ -51,8 +51,8 @@ class BatchFlight:
     `reference_enu_m` is r, (ticks, 3) where all formations have the same and (ticks, B, 3) otherwise. `neighbours`
     (ticks, B, n, n) is whether i uses j as a neighbour, None unless requested. `commanded_m_s2` (ticks, B, n) is the size of
     the acceleration that the last attitude and thrust command, float32.
-    `failures`: why a formation ended, by its index; its positions are NaN from then on. `remarks`: what the user should know of
-    how the laws were flown.
+    `failures`: why a formation ended, by its index; its positions are NaN from then on. `remarks`: why the law
+    of a formation was not asked about in arrays, by its index.
     """
 
     times_s: FloatArray
@@ -62,7 +62,7 @@ class BatchFlight:
     neighbours: BoolArray | None
     commanded_m_s2: NDArray[np.float32]
     failures: Mapping[int, str] = field(default_factory=dict)
-    remarks: tuple[str, ...] = ()
+    remarks: Mapping[int, str] = field(default_factory=dict)
 
     def reference_of_formations_enu_m(self) -> FloatArray:
         """r as (ticks, B or 1, 3)."""
@@ -128,7 +128,7 @@ def fly_batch(
         neighbours=neighbours,
         commanded_m_s2=commanded,
         failures=failures,
-        remarks=tuple(simulation.laws.remarks),
+        remarks=simulation.laws.remarks,
     )
 
 

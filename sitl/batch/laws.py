@@ -145,7 +145,8 @@ class BatchLaws:
     """The laws of all columns, what they remember, and which formations they have failed.
 
     `memory` and `values`: the most vectors that any of them remembers or publishes. `failures`: what happened, by formation;
-    its vehicles are not asked about any more, and fly without an acceleration. `remarks` are for the user.
+    its vehicles are not asked about any more, and fly without an acceleration. `remarks`: why a formation is not asked about in
+    arrays.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns, slot_enu_m: FloatArray) -> None:
@@ -167,8 +168,7 @@ class BatchLaws:
         self._constant = np.vstack([slot_enu_m, drag_1_s])
         self._memory = np.zeros((3 * self.memory, columns.count))
         self.failures: dict[int, str] = {}
-        self.remarks: list[str] = []
-        self._alone_sources: set[Path] = set()
+        self.remarks: dict[int, str] = {}
 
     def known(
         self,
@@ -303,10 +303,9 @@ class BatchLaws:
 
     def _fly_alone(self, kind: LawKind, error: Exception) -> None:
         kind.in_arrays = False
-        source = _source(self._sections[next(iter(kind.laws))])
-        if source not in self._alone_sources:
-            self._alone_sources.add(source)
-            self.remarks.append(f"{code_error(source, error)}; so it is flown vehicle by vehicle, which is slower")
+        for formation in kind.laws:
+            why = code_error(_source(self._sections[formation]), error)
+            self.remarks[formation] = f"{why}; so it is flown vehicle by vehicle, which is slower"
 
     def _fail(self, column: int, error: Exception) -> None:
         """End a formation as an agent ends, whose law fails."""

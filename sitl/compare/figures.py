@@ -57,6 +57,7 @@ class Figures(Struct, frozen=True, kw_only=True):
     bytes_per_s: bytes of state packets that one vehicle publishes per second
     connected_share: share of the time in which every vehicle had a path to a leader, where neighbours change with range
     failure: why the flight ended before its time; then it has no figure
+    remark: why its law flew vehicle by vehicle in the batch
     """
 
     settle_s: float | None
@@ -69,6 +70,7 @@ class Figures(Struct, frozen=True, kw_only=True):
     bytes_per_s: float | None
     connected_share: float | None
     failure: str | None
+    remark: str | None
 
 
 NOTHING = Figures(**dict.fromkeys(Figures.__struct_fields__))
@@ -94,7 +96,8 @@ def figures_of(flown: FlownFormation, scenario: Scenario, hop_gains: bool) -> Fi
         "bytes_per_s": PACKETS_HZ * packet_bytes(scenario.fleet.law),
         "connected_share": None if flown.connected is None else float(np.mean(flown.connected)),
     }
-    return Figures(**{name: _rounded(value, DIGITS.get(name, 4)) for name, value in found.items()}, failure=None)
+    rounded = {name: _rounded(value, DIGITS.get(name, 4)) for name, value in found.items()}
+    return Figures(**rounded, failure=None, remark=None)
 
 
 def failed(why: str) -> Figures:

@@ -8,6 +8,7 @@ from itertools import pairwise
 from math import ceil
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.analysis.interaction import FloatArray
 from companion.config.fleet import EdgeNeighbours
@@ -112,12 +113,13 @@ def fly_in_a_batch(flights: Sequence[CellFlight], seconds: float) -> list[Figure
     scenarios = [flight.scenario for flight in flights]
     by_range = not isinstance(scenarios[0].fleet.neighbours, EdgeNeighbours)
     flown = fly_batch(scenarios, seconds, progress, sample_s=SAMPLE_S, keep_neighbours=by_range)
-    return [
+    every = [
         failed(flown.failures[b])
         if b in flown.failures
         else figures_of(_of_batch(flown, b, flight.scenario), flight.scenario, flight.repeats)
         for b, flight in enumerate(flights)
     ]
+    return [replace(figures, remark=flown.remarks.get(b)) for b, figures in enumerate(every)]
 
 
 def _of_batch(flown: BatchFlight, b: int, scenario: Scenario) -> FlownFormation:

@@ -125,6 +125,7 @@ def report_text(result: Compared, cells: ByCell) -> str:
         "\n".join(failures_text(cells)),
         "\n".join(wins_text(result)),
         "\n".join(checks_text(result.checks)),
+        "\n".join(remarks_text(cells)),
     ]
     if by_agents := conditions_by_agents(cells):
         parts.append(f"flown by the agents one by one, not in a batch: {', '.join(by_agents)}")
@@ -174,6 +175,12 @@ def failures_text(cells: ByCell) -> Iterator[str]:
         reasons = [one.figures.failure for one in flown if one.figures.failure is not None]
         if reasons:
             yield f"failed: {cell.law}, {cell.place.name}, {len(reasons)} of {len(flown)} flights: {reasons[0]}"
+
+
+def remarks_text(cells: ByCell) -> list[str]:
+    """Laws that did not fly in arrays, with the reason, once each."""
+    found = ((cell.law, one.figures.remark) for cell, flown in cells.items() for one in flown)
+    return list(dict.fromkeys(f"{law}: {remark}" for law, remark in found if remark))
 
 
 def wins_text(result: Compared) -> Iterator[str]:

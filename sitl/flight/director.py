@@ -189,7 +189,9 @@ class Director:
                     raise FlightFailure(f"vehicle {status.agent.vehicle_id} left phase {left}: {newest_report(status)}")
             silent = [i for i in self._watch.silent(self._clock.now_s()) if phases[i] is not FlightPhase.OBSERVE]
             if silent:
-                raise FlightFailure(f"no report from {id_list(silent)} for {SILENT_S:g} s")
+                reports = ((i, self._watch.status(i)) for i in silent)
+                last = [f"vehicle {i}: {newest_report(status)}" for i, status in reports if status]
+                raise FlightFailure(f"no report from {id_list(silent)} for {SILENT_S:g} s; {'; '.join(last)}")
 
     def _pass(self) -> None:
         """Receive and show reports once, after POLL_S. Raises FlightFailure."""

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sitl.flight.director import Director, MovingTargets
-from sitl.flight.lockstep import Lockstep, VirtualStandIn
+from sitl.flight.lockstep import Lockstep
 from sitl.flight.orders import FlightFailure, Refusal
 from sitl.flight.scenario import Scenario, TimelineStep
+from sitl.flight.virtual_vehicle import VirtualStandIn
 from sitl.flight.watch import FlightWatch, watch_of
 from sitl.report.metrics import Track
 from sitl.report.progress import FlightProgress

@@ -17,10 +17,10 @@ from companion.config.fleet import FleetConfig
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.values import Vector3
-from sitl.flight.lockstep import BoolArray, VirtualStandIn
 from sitl.flight.orders import Refusal
 from sitl.flight.scenario import Scenario
 from sitl.flight.virtual_flight import Flown, fly_without_landing
+from sitl.flight.virtual_vehicle import BoolArray, VirtualStandIn
 from sitl.flight.watch import FlightWatch
 from sitl.gauntlet.drawing import Drawn, ImpossibleFlightError, draw_flight, family_of
 from sitl.gauntlet.fleets import SensorsName

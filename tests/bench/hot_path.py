@@ -33,8 +33,9 @@ from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
 from companion.types.status import NetworkState
 from companion.wire.messages import StatusReport, decode_peer, encode, encode_peer
 from sitl.flight.director import Director
-from sitl.flight.lockstep import Lockstep, VirtualAgent, VirtualStandIn, VirtualTimer
+from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import load_scenario
+from sitl.flight.virtual_vehicle import VirtualAgent, VirtualStandIn, VirtualTimer
 from sitl.flight.watch import watch_of
 from sitl.links.direct_link import rates_hz
 from sitl.report.progress import FlightProgress

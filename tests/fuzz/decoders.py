@@ -50,7 +50,7 @@ from companion.wire.messages import (
     encode,
     encode_peer,
 )
-from sitl.flight.lockstep import NOT_TIMED
+from sitl.flight.virtual_vehicle import NOT_TIMED
 from sitl.workers import report_progress
 from tests.fuzz.mavlink import mavlink_packets, resealed
 from tests.fuzz.mutation import damaged, mutated

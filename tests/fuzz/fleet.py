@@ -31,7 +31,7 @@ from companion.wire.messages import (
     encode,
     encode_peer,
 )
-from sitl.flight.lockstep import NOT_TIMED
+from sitl.flight.virtual_vehicle import NOT_TIMED
 from tests.fuzz.plant import HOVER_THRUST_NORM, TICK_S, Plant
 
 ANSWERED_WITHIN = 100  # ticks: formations and references are judged in steps

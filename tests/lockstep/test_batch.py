@@ -170,7 +170,7 @@ def test_a_law_of_a_file_flies_as_in_lockstep(tmp_path: Path) -> None:
     assert flown.failure is None
     begin_s = began_s(scenario, flown)
     batch = fly_batch([scenario] * 16, FLOWN_S, start=many(start_of(scenario, flown, begin_s), 16))
-    assert batch.remarks == ()
+    assert batch.remarks == {}
     true_m = positions_m(flown, begin_s + batch.times_s)
     assert np.abs(true_m - true_m[0]).max() > 0.5  # the vehicles did move
     assert np.linalg.norm(batch.positions_enu_m - true_m[:, None], axis=3).max() <= TOLERANCE_M

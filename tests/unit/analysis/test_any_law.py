@@ -25,6 +25,7 @@ from companion.cli.main import main
 from companion.config.file import ConfigError
 from companion.laws import FormationState, Law, Memory, Neighbour, Own, Values
 from companion.laws._neighbour_feedback import NeighbourFeedback
+from companion.types.autopilot import AutopilotKind
 from companion.types.formation import Gains
 from companion.types.values import ZERO3, Vector3
 from sitl.flight.flights import DivergesError, check_convergence
@@ -386,3 +387,22 @@ def test_the_margin_without_lag_of_a_sampled_integral_is_that_of_the_continuous_
     margin_s = (np.pi + np.angle(loop[crossing])) % (2.0 * np.pi) / omega[crossing]
     found_s = delay_margin_with_lag_s(couple(chain(1), {1}, Integral()), LinearModel(0.0, 0.0, 0.0))
     assert found_s == pytest.approx(margin_s, abs=0.01)
+
+
+class Counting(Integral, frozen=True):
+    """As Integral, and it counts its positions, which changes nothing."""
+
+    memory: ClassVar[int] = 2
+
+    def remember(self, own: Own, neighbours: Sequence[Neighbour], reference: FormationState | None) -> Memory:
+        return (*Integral.remember(self, own, neighbours, reference), (own.memory[1][0] + 1.0, 0.0, 0.0))
+
+
+def test_a_counter_in_the_memory_does_not_make_a_formation_unstable() -> None:
+    linear = linearised(Counting(), False, [1], [ZERO3] * 2)
+    assert linear.own[1] == (0.02, 0.0, 0.0, 1.0, 0.0)  # the integral stays
+    assert set(linear.own[2]) == {0.0}
+    model = flown_model(AutopilotKind.PX4, 0.001, 0.0)
+    counting, plain = (couple(chain(3), {1}, law) for law in (Counting(), Integral()))
+    assert is_stable(counting, model)
+    assert delay_margin_with_lag_s(counting, model) == pytest.approx(delay_margin_with_lag_s(plain, model), abs=1e-3)

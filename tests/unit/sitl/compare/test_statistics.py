@@ -92,7 +92,7 @@ def test_published_values_cost_bytes(tmp_path: Path) -> None:
 
 def test_vehicles_without_a_path_to_a_leader_are_not_connected() -> None:
     uses = np.zeros((2, 3, 3), dtype=bool)
-    uses[:, 1, 0] = uses[0, 2, 1] = True  # at the second time vehicle 3 uses nobody
+    uses[:, 1, 0] = uses[0, 2, 1] = True  # at the second time vehicle 3 has no neighbour
     uses[1, 1, 2] = True
     assert connected(uses, np.array([True, False, False])).tolist() == [1.0, 0.0]
 
@@ -230,7 +230,7 @@ def test_the_text_says_what_is_missing() -> None:
 def test_a_law_of_which_a_flight_has_failed_is_the_best_nowhere() -> None:
     rows = flown(cooperative=failed("line 3: ZeroDivisionError"))
     cells = by_cell(rows)
-    assert winners(cells) == []  # the other one has nobody beside it
+    assert winners(cells) == []  # a law alone wins nothing
     lost = [one for one in summaries(cells) if one.failed]
     assert {(one.law, one.failed, len(one.figures)) for one in lost} == {("cooperative", SEEDS, 0)}
     lines = list(failures_text(cells))
