@@ -6,7 +6,7 @@ import argparse
 import os
 from pathlib import Path
 
-from companion.cli.options import add_json, add_overrides
+from companion.cli.options import add_json, add_law, add_overrides
 from companion.cli.program import command
 from companion.types.errors import EXIT_DONE, UnusableError
 
@@ -15,6 +15,7 @@ EXIT_CONVERGES, EXIT_CANNOT_CONVERGE = 0, 1
 
 def _add_analyze(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help="a scenario or fleet file (YAML)")
+    add_law(parser, "analyze it with this law")
     add_overrides(parser, "change one key of the file")
     add_json(parser, "all figures as one JSON object instead of the text")
 
@@ -26,6 +27,7 @@ def _run_analyze(options: argparse.Namespace) -> int:
 
     examples:
       companion analyze config/scenarios/platoon.yaml
+      companion analyze config/scenarios/platoon.yaml --law lab/my_law.py
       companion analyze config/scenarios/chain_16.yaml --set fleet.law.parameters.weight_ratio=0.1
       companion analyze /etc/companion/fleet.yaml --json | jq '.laws.weighted.lambda_min'
 
@@ -46,12 +48,14 @@ def _run_analyze(options: argparse.Namespace) -> int:
 
     import msgspec
 
+    from companion.config.named_files import law_override
     from companion.tools.analysis import analyse
     from companion.tools.analysis_report import report, verdict
     from companion.tools.output import json_text
     from companion.tools.subject import load_subject
 
-    analysis = analyse(load_subject(options.file, options.overrides))
+    overrides = [*([law_override(options.law)] if options.law else []), *options.overrides]
+    analysis = analyse(load_subject(options.file, overrides))
     if options.json:
         figures = msgspec.to_builtins(analysis) | {"verdict": msgspec.to_builtins(verdict(analysis))}
         print(json_text(figures))

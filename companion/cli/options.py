@@ -88,6 +88,12 @@ def add_json(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument("--json", action="store_true", help=what)
 
 
+def add_law(parser: argparse.ArgumentParser, what: str) -> None:
+    """--law; its help says `what` is done with it."""
+    known = "a built-in law, an installed one, or a Python file with one"
+    parser.add_argument("--law", type=law_argument, metavar="LAW", help=f"{what}: {known}")
+
+
 def law_argument(text: str) -> str:
     """An argparse type: the name of a law, or the path of a Python file with one."""
     from companion.config.law import PYTHON, law_names

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from companion import GROUND_INSTALL
-from companion.cli.options import add_json, add_overrides, law_argument, vehicle_id
+from companion.cli.options import add_json, add_law, add_overrides, vehicle_id
 from companion.cli.program import command
 from companion.types.errors import EXIT_DONE, UnusableError
 
@@ -71,9 +71,7 @@ def _add_replay(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="the Python file of a recorded law or reference, with the same content; may be given many times",
     )
-    parser.add_argument(
-        "--law", type=law_argument, metavar="LAW", help="compare with this law: its name, or a Python file"
-    )
+    add_law(parser, "compare with this law")
     add_overrides(parser, "compare with another value of one key of the fleet or vehicle file")
     parser.add_argument(
         "--csv", type=Path, metavar="FILE", help="with --law or --set: the commands of every tick, recorded and other"
@@ -113,11 +111,12 @@ def _run_replay(options: argparse.Namespace) -> int:
     """
 
     from companion.config.code_file import load_code
+    from companion.config.named_files import law_override
     from companion.replay.command import ReplayOptions, run_replay
 
     for file in options.code:
         load_code(file.absolute(), beside=file.absolute())
-    overrides = [*([f"fleet.law.name={options.law}"] if options.law else []), *options.overrides]
+    overrides = [*([law_override(options.law)] if options.law else []), *options.overrides]
     if options.csv and not overrides:
         raise UnusableError("companion replay: --csv: needs --law or --set; without them the commands are equal")
     return run_replay(ReplayOptions(options.folder, options.vehicle, overrides, options.csv, options.json))

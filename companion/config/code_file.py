@@ -46,6 +46,16 @@ class CodeFile:
 LOADED: dict[str, CodeFile] = {}  # by SHA-256: what has passed the checks of a file of this machine
 
 
+class UnreadCodeError(ConfigError):
+    """Code that a configuration names and nothing has brought, as of a recording. `sha256` is empty where none is known."""
+
+    def __init__(self, file: str, sha256: str) -> None:
+        wanted = f" with the SHA-256 {sha256}" if sha256 else ""
+        expected = "expected the file of a fleet file, a vehicle file or a scenario beside it, or of --code"
+        super().__init__(file, "", f"is code{wanted} that has not been read; {expected}")
+        self.file, self.sha256 = file, sha256
+
+
 def load_code(path: Path, beside: Path) -> CodeFile:
     """Run a Python file once. `beside` is the configuration file that names it; a relative path starts there.
 
@@ -72,12 +82,10 @@ def load_code(path: Path, beside: Path) -> CodeFile:
 
 
 def loaded_code(file: str, sha256: str | None) -> CodeFile:
-    """The code with this content, which has been loaded. Raises ConfigError: a recording or a command brings no code."""
+    """The code with this content, which has been loaded. Raises UnreadCodeError: a recording or a command brings no code."""
     code = LOADED.get(sha256 or "")
     if code is None:
-        wanted = f" with the SHA-256 {sha256}" if sha256 else ""
-        expected = "expected the file of a fleet file, a vehicle file or a scenario beside it, or of --code"
-        raise ConfigError(file, "", f"is code{wanted} that has not been read; {expected}")
+        raise UnreadCodeError(file, sha256 or "")
     return code
 
 

@@ -6,4 +6,4 @@ from companion.laws._neighbour_feedback import NeighbourFeedback
 
 
 class Average22(NeighbourFeedback, frozen=True):
-    """Average of all neighbours."""
+    """Eq. 22 of the paper: the plain mean of all neighbours, which a leader adds to its reference."""

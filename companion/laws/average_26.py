@@ -6,7 +6,7 @@ from companion.laws._neighbour_feedback import NeighbourFeedback
 
 
 class Average26(NeighbourFeedback, frozen=True):
-    """Average of all neighbours, without those of leaders."""
+    """Eq. 26 of the paper: the plain mean of all neighbours; a leader follows its reference alone."""
 
     @property
     def leader_uses_neighbours(self) -> bool:

@@ -7,9 +7,9 @@ from companion.laws.weighted import Exponent, Share, Weighted, WeightRatio
 
 
 class Cooperative(Weighted, frozen=True):
-    """The law to fly.
+    """The law to fly: follows the neighbours nearest to a leader, with their accelerations, so that deep chains settle fast.
 
-    Weights that fall to a thirtieth with every hop: no vehicle follows its own followers, however deep it is. Gains with 0.85
+    Weights fall to a thirtieth with every hop: no vehicle follows its own followers, however deep it is. Gains with 0.85
     of critical damping at lambda = 1, where the paper's have 0.51. And nearly all of the neighbours' acceleration fed forward;
     a larger k2 for the same k1 costs twice: a velocity error e shifts a vehicle by k2/k1 e, and with slow attitude loops and
     late packets the leader and its followers begin to oscillate.

@@ -14,7 +14,7 @@ Share = Annotated[float, Meta(ge=0, le=0.99)]
 
 
 class Weighted(NeighbourFeedback, frozen=True):
-    """The paper's law.
+    """Eq. 14, the paper's law: the mean of the neighbours, each weighted by 1/PrC: who is nearer to a leader counts more.
 
     position_gain_1_s2: k1 of K = [k1, k2], on the position error; the paper's of section 5.1.1
     velocity_gain_1_s: k2 of K = [k1, k2], on the velocity error; the paper's of section 5.1.1

@@ -18,10 +18,10 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import fields
 
-from companion.config.file import SET, ConfigError, convert
+from companion.config.file import ConfigError, convert
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import fleet_problems
-from companion.config.named_files import with_overrides
+from companion.config.named_files import changed
 from companion.config.validation import Problem, each
 from companion.config.values import Section
 from companion.config.vehicle import AgentConfig, VehicleConfig, membership_problems
@@ -187,7 +187,7 @@ def recorded_config(path: Path, header: Header, overrides: Sequence[str] = ()) -
     config = _checked(path, files, header.vehicle_id)
     if not overrides:
         return config
-    return _checked(SET, with_overrides(files, overrides, EXAMPLE), header.vehicle_id)
+    return changed(files, overrides, EXAMPLE, lambda named, content: _checked(named, content, header.vehicle_id))
 
 
 def _plain(path: Path, text: str, what: str) -> Any:

@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from math import degrees
 from pathlib import Path
+from shlex import join
 
 import msgspec
 
+from companion.config.code_file import UnreadCodeError
 from companion.config.file import ConfigError
 from companion.recording.reader import Recording, RecordingError, recordings
 from companion.recording.records import SOFTWARE
@@ -75,7 +77,7 @@ def _replay_all(options: ReplayOptions, found: Sequence[Recording]) -> int:
     for recording in found:
         name = name_of(recording, found)
         with _shown_progress(name) as progress:
-            result = _replayed(recording, progress)
+            result = _replayed(options.folder, recording, progress)
         results.append(result)
         if not options.as_json:
             print("\n".join(replayed_lines(name, result)), flush=True)
@@ -87,14 +89,18 @@ def _replay_all(options: ReplayOptions, found: Sequence[Recording]) -> int:
     return EXIT_EQUAL if equal else EXIT_UNUSABLE
 
 
-def _replayed(recording: Recording, progress: Progress) -> ReplayResult:
+def _replayed(folder: Path, recording: Recording, progress: Progress) -> ReplayResult:
     try:
         return replay(recording, progress, _warn)
+    except UnreadCodeError as error:
+        flown = f"it was flown with {error.file} (SHA-256 {error.sha256}), and a recording has no code"
+        unusable = f"{flown}; give the same content: {join(['companion', 'replay', str(folder), '--code', error.file])}"
     except ConfigError as error:
-        header = recording.header
-        return ReplayResult(
-            vehicle_id=header.vehicle_id, session=header.session, software=header.software, ticks=0, unusable=str(error)
-        )
+        unusable = str(error)
+    header = recording.header
+    return ReplayResult(
+        vehicle_id=header.vehicle_id, session=header.session, software=header.software, ticks=0, unusable=unusable
+    )
 
 
 # ------------------------------------------------------------ other settings

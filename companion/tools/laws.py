@@ -96,6 +96,9 @@ def new_law(name: str, folder: Path) -> str:
     if not re.fullmatch(LAW_NAME, name) or name in BUILT_IN:
         expected = "expected at most 41 lower-case letters, digits and _, a letter first, and no name of a built-in law"
         raise UnusableError(f"companion law new: {name}: {expected}")
+    if name.startswith("test_") or name.endswith("_test"):
+        expected = "expected one that pytest does not take for a test: without test_ before it and _test behind it"
+        raise UnusableError(f"companion law new: {name}: {expected}")
     law, test = folder / f"{name}{PYTHON}", folder / f"test_{name}{PYTHON}"
     title = "".join(word.capitalize() for word in name.split("_"))
     source = getsource(starting_point).replace("StartingPoint", title)

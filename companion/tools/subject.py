@@ -19,10 +19,10 @@ from companion.analysis.response import (
     flown_model,
 )
 from companion.assembly import flyable_problems
-from companion.config.file import SET, convert, kind_of_file, read_as
+from companion.config.file import convert, kind_of_file, read_as
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import fleet_problems
-from companion.config.named_files import read_named, with_overrides
+from companion.config.named_files import changed, read_named
 from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
 from companion.config.reference import Reference
 from companion.config.validation import Problem, each, examine, unless_invalid
@@ -123,8 +123,9 @@ def load_subject(path: Path, overrides: Sequence[str] = ()) -> Subject:
     subject = subject_of(path, read_named(data, path))
     if not overrides:
         return subject
-    data = with_overrides(data, overrides, "fleet.law.name=average_22, or law.name=average_22 in a fleet file")
-    return structs.replace(subject_of(SET, read_named(data, path)), file=path, settings=tuple(overrides))
+    example = "fleet.law.name=average_22, or law.name=average_22 in a fleet file"
+    subject = changed(data, overrides, example, lambda named, content: subject_of(named, read_named(content, path)))
+    return structs.replace(subject, file=path, settings=tuple(overrides))
 
 
 def subject_of(path: Path, data: Any) -> Subject:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from companion.cli.options import add_overrides, law_argument
+from companion.cli.options import add_law, add_overrides, law_argument
 from companion.cli.program import command
 from companion.config.file import ConfigError
 from companion.config.law import USUAL
@@ -23,13 +23,11 @@ from sitl.cli.options import (
 if TYPE_CHECKING:
     from sitl.flight.flights import FlightOptions
 
-LAW_HELP = "a built-in law, an installed one, or a Python file with one"
-
 
 def add_flight_arguments(parser: argparse.ArgumentParser) -> None:
     """What `sitl run` and `sitl fly` have in common."""
     add_scenario(parser)
-    parser.add_argument("--law", type=law_argument, metavar="LAW", help=f"fly with this law: {LAW_HELP}")
+    add_law(parser, "fly with this law")
     add_autopilot(parser)
     parser.add_argument(
         "--compare",

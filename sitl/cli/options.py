@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from companion.cli.options import whole_number
+from companion.config.named_files import law_override
 from companion.types.autopilot import AutopilotKind
 from sitl.links.ports import MAX_PORT_OFFSET
 
@@ -79,7 +80,7 @@ def add_port_offset(parser: argparse.ArgumentParser) -> None:
 def overrides_of(parsed: argparse.Namespace) -> list[str]:
     """--law and --autopilot come first: a --set of the same key wins."""
     law, autopilot = getattr(parsed, "law", None), parsed.autopilot
-    short = [f"fleet.law.name={law}"] if law else []
+    short = [law_override(law)] if law else []
     short += [f"stand_in.autopilot={autopilot}"] if autopilot else []
     return [*short, *parsed.overrides]
 

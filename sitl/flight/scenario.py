@@ -13,11 +13,11 @@ from msgspec import Meta, field
 from msgspec.structs import replace
 
 from companion.assembly import flyable_problems, trajectory_of
-from companion.config.file import SET, convert, read_as
+from companion.config.file import convert, read_as
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import checkable
 from companion.config.law import LawName
-from companion.config.named_files import read_named, with_overrides
+from companion.config.named_files import changed, read_named
 from companion.config.planned_flight import (
     HeadingDeg,
     PlannedFlight,
@@ -275,8 +275,8 @@ def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
     scenario = scenario_from(path, read_named(data, path))
     if not overrides:
         return scenario
-    data = with_overrides(data, overrides, "fleet.law.name=average_22 or timeline[3].for_s=20")
-    return scenario_from(SET, read_named(data, path))
+    example = "fleet.law.name=average_22 or timeline[3].for_s=20"
+    return changed(data, overrides, example, lambda named, content: scenario_from(named, read_named(content, path)))
 
 
 def reference_of(scenario: Scenario) -> ReferenceTrajectory:

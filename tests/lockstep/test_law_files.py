@@ -9,6 +9,7 @@ import pytest
 
 from common import ROOT
 from companion.cli.main import main
+from companion.config import code_file
 from companion.config.file import ConfigError
 from lockstep_fleet import CommandedFlight
 from sitl.api import load
@@ -66,13 +67,20 @@ def test_neighbours_receive_what_a_vehicle_publishes(tmp_path: Path) -> None:
         assert 4.0 < time_s < 5.0  # in formation
 
 
-def test_a_recorded_flight_replays_with_its_file_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recorded_flight_replays_with_its_file_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     path, recordings = written(tmp_path), tmp_path / "recordings"
     settings = ["stand_in.sensors=ideal", "timeline[3].for_s=2", "timeline[4].for_s=0"]
     fly(load_scenario(path, settings), recordings)
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir(mode=0o755)
     copy = write_law(elsewhere, "copy", SHARES)
+    monkeypatch.setattr(code_file, "LOADED", {})  # as in a process of its own
+    assert main(["replay", str(recordings)]) == 2
+    said = capsys.readouterr().out.splitlines()
+    assert len(said) == 4
+    assert all(line.endswith(f"companion replay {recordings} --code {tmp_path / 'shares.py'}") for line in said)
     assert main(["replay", str(recordings), "--code", str(copy)]) == 0
     assert capsys.readouterr().out.count("all equal") == 4
     assert main(["replay", str(recordings), "--law", "cooperative"]) == 0

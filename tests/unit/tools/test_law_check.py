@@ -103,7 +103,7 @@ def test_a_new_law_passes_and_is_never_overwritten(tmp_path: Path, capsys: pytes
     assert "exists" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["Mine", "cooperative", "my law", "../x"])
+@pytest.mark.parametrize("name", ["Mine", "cooperative", "my law", "../x", "test_mine", "mine_test"])
 def test_names_that_no_law_can_have(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["law", "new", name, "--folder", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
@@ -124,4 +124,6 @@ def test_the_list_has_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["law", "list"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines][: len(BUILT_IN)] == list(BUILT_IN)
-    assert all(len(line.split()) > 1 for line in lines)
+    said = [line.split(maxsplit=1)[1] for line in lines]
+    assert all(len(text.split()) > 7 for text in said)
+    assert len(set(said)) == len(said)

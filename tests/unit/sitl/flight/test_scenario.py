@@ -1,5 +1,6 @@
 """Scenario files: refusals with their field, and the overrides of --set."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,11 @@ from hypothesis import strategies as st
 from common import ROOT
 from companion.config.file import ConfigError, read_yaml
 from companion.config.fleet import EdgeNeighbours, RangeNeighbours
+from companion.config.named_files import law_override
+from companion.tools.subject import load_subject
 from companion.types.values import quoted
 from sitl.flight.scenario import load_scenario, scenario_from
+from tests.helpers.bad_laws import BAD_LAWS, write_law
 
 SCENARIOS = ROOT / "config" / "scenarios"
 PLATOON = SCENARIOS / "platoon.yaml"
@@ -47,6 +51,28 @@ def test_the_scenario_file_written_by_a_flight_loads(path: Path, tmp_path: Path)
     again = tmp_path / "scenario.yaml"
     again.write_text(yaml.safe_dump(msgspec.to_builtins(scenario, builtin_types=()), sort_keys=False), encoding="utf-8")
     assert load_scenario(again) == scenario
+
+
+# ---------------------------------------------------------------- another law
+
+
+@pytest.mark.parametrize("read", [load_scenario, load_subject])
+@pytest.mark.parametrize("name", list(BAD_LAWS))
+def test_an_error_of_a_law_file_names_its_option(name: str, read: Callable[..., object], tmp_path: Path) -> None:
+    file = write_law(tmp_path, name, BAD_LAWS[name])
+    with pytest.raises(ConfigError) as caught:
+        read(PLATOON, [law_override(str(file)), "fleet.takeoff_height_m=2.5"])
+    (line,) = caught.value.lines
+    assert line.startswith(f"--law: {file}: ")
+
+
+def test_an_error_beside_a_good_law_names_set() -> None:
+    line = error_of(law_override("average_22"), "fleet.law.parameters.exponent=1")
+    assert line == "--set: fleet.law.parameters.exponent: unknown key; take it out"
+
+
+def test_a_fleet_file_takes_a_law() -> None:
+    assert load_subject(ROOT / "config" / "fleets" / "pair.yaml", [law_override("trimmed")]).fleet.law.name == "trimmed"
 
 
 # ---------------------------------------------------------------- files
