@@ -9,6 +9,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import Annotated, Any, Literal
 
+import msgspec
 from msgspec import Meta, ValidationError, convert, field
 from msgspec.structs import asdict, replace
 
@@ -184,10 +185,36 @@ def law_problems(section: LawSection, where: str) -> Iterator[Problem]:
     except ConfigError as error:
         yield Problem(f"{where}.file", str(error))
         return
+    if not is_built_in(section) and (text := parameter_problem(cls)):
+        yield Problem(f"{where}.{'name' if file is None else 'file'}", f"{file or name}: {text}")
+        return
     law, problems = examine(parameters, cls, f"{where}.parameters")
     yield from problems
     if law is not INVALID and not problems and all_finite(parameters) and (text := _trial_problem(law, file or name)):
         yield Problem(f"{where}.{'name' if file is None else 'file'}", text)
+
+
+@lru_cache(maxsize=16)
+def parameter_problem(cls: type[Law]) -> str:
+    """What is wrong with how a law declares its parameters; empty where nothing is."""
+    for name, value in vars(cls).items():
+        if isinstance(value, bool | int | float | str) and name.islower() and not (name[0] == "_" or name in vars(Law)):
+            expected = f"expected {name}: Gain = {value!r} or another type with bounds, or capitals for a constant"
+            return f"{name} has no type, so it is no parameter and nobody can set it; {expected}"
+    unbounded = [name for name in cls.__struct_fields__ if not _has_bounds(cls, name)]
+    if unbounded:
+        return f"{', '.join(unbounded)} without bounds; expected NAME: Annotated[float, Meta(ge=0, le=1)], or Gain"
+    return ""
+
+
+def _has_bounds(cls: type[Law], name: str) -> bool:
+    """Whether a number has both bounds; other types count as bounded."""
+    struct = msgspec.inspect.type_info(cls)
+    assert isinstance(struct, msgspec.inspect.StructType)
+    kind = next(info.type for info in struct.fields if info.name == name)
+    if not isinstance(kind, msgspec.inspect.FloatType | msgspec.inspect.IntType):
+        return True
+    return (kind.ge is not None or kind.gt is not None) and (kind.le is not None or kind.lt is not None)
 
 
 def _trial_problem(law: Law, source: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import dist
 from typing import SupportsFloat
 
@@ -21,10 +22,16 @@ def trial_problem(law: Law) -> str:
     alone = Own(ZERO3, ZERO3, memory=(ZERO3,) * law.memory)
     here = _beside_one_neighbour(law, ZERO3)
     for neighbours, given in (("no neighbour", law.acceleration(alone, (), None)), ("one neighbour", here)):
-        if not (
-            isinstance(given, tuple | list) and len(given) == 3 and all(isinstance(a, SupportsFloat) for a in given)
-        ):
-            return f"with {neighbours} its acceleration is {given!r:.60}; expected (x, y, z), three numbers"
+        if not _is_vector(given):
+            text = f"with {neighbours} its acceleration is {given!r:.60}; expected (x, y, z), three numbers"
+            return f"{_line_of(law.acceleration)}{text}"
+    for method, count in ((law.remember, law.memory), (law.publish, law.publishes)):
+        vectors = method(alone, (), None) if count else ()
+        if not (isinstance(vectors, tuple | list) and len(vectors) == count and all(map(_is_vector, vectors))):
+            text = (
+                f"{method.__name__} gives {vectors!r:.60}; expected a tuple of (x, y, z), as many as declared: {count}"
+            )
+            return f"{_line_of(method)}{text}"
     if not all(-MOST_BESIDE_M_S2 <= axis <= MOST_BESIDE_M_S2 for axis in here):
         return f"within 1 m of its neighbour it gives {here} m/s^2; expected numbers up to {MOST_BESIDE_M_S2:g}"
     gains = feedback_gains(law)
@@ -38,6 +45,18 @@ def trial_problem(law: Law) -> str:
         what = f"its acceleration changes by {change_m_s2:.3g} m/s^2 where the whole formation is elsewhere"
         return f"{what}; expected differences of positions alone"
     return ""
+
+
+def _is_vector(given: object) -> bool:
+    return (
+        isinstance(given, tuple | list) and len(given) == 3 and all(isinstance(axis, SupportsFloat) for axis in given)
+    )
+
+
+def _line_of(method: Callable[..., object]) -> str:
+    """Where the method begins in the file of the law; empty for one that is no function of Python."""
+    code = getattr(getattr(method, "__func__", None), "__code__", None)
+    return f"line {code.co_firstlineno}: " if code else ""
 
 
 def _beside_one_neighbour(law: Law, place_enu_m: Vector3) -> Vector3:

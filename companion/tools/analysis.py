@@ -80,7 +80,8 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
     """Figures of one law with the leaders of the fleet file. Distances are of pairs of neighbours.
 
     lambda_min, eigenvalues and G are of the interaction matrix; of complex eigenvalues, which only laws that are not built in
-    can have, they are the real parts. The gains are those about one neighbour. Rate, damping and delay_margin_s are of the
+    can have, they are the real parts. The gains are those about one neighbour over 1 m and 1 m/s: of a law that saturates less
+    than near the formation. Rate, damping and delay_margin_s are of the
     modes without attitude lag and link, with feed-forward; all else is with lag and delays. String gains are None without a
     hop. For an unstable formation string gains, peaks, times and distances are None. A time is None also where the event does
     not occur. The margin is the smallest for the links of the scenario, or up to LATE_LINK_S where it has none, of the
@@ -107,8 +108,11 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
     string_gain_per_hop_rad_s: float | None  # frequency of the largest gain per hop
     string_gain_to_last: float | None
     string_gain_to_last_rad_s: float | None
-    velocity_error_shift_m: float  # from the slot, by a constant VELOCITY_ERROR_M_S that the correction does not see
-    velocity_error_shift_corrected_m: float  # by one that turns once in ERROR_TURNS_S, with law.velocity_correction_1_s
+    # From the slot, by a constant VELOCITY_ERROR_M_S that the correction does not see; None: the law has a memory
+    velocity_error_shift_m: float | None
+    velocity_error_shift_corrected_m: (
+        float | None
+    )  # by one that turns once in ERROR_TURNS_S, with law.velocity_correction_1_s
     transient_peak: float | None  # largest error over the largest at the start
     worst_transient_peak: float | None  # largest peak from any start; None for more than WORST_START_UP_TO vehicles
     time_to_10_cm_s: float | None  # by the rate alone
@@ -229,6 +233,8 @@ def _law_analysis(subject: Subject, graphs: Sequence[Graph], leaders: Collection
     gains = string_gains(coupling, model) if stable else None
     start_error_m = float(np.linalg.norm(_start_errors_m(subject), axis=1).max())
     leader_settle_s, leader_step_settle_s = _leader_settles_s(subject, law, start_error_m) if stable else (None, None)
+    shifted_m = None if law.memory else shift_m(law_gains, VELOCITY_ERROR_M_S)  # an integral takes the shift out
+    correction_1_s = subject.fleet.law.velocity_correction_1_s
     return LawAnalysis(
         gain_position_1_s2=law_gains.position_1_s2,
         gain_velocity_1_s=law_gains.velocity_1_s,
@@ -253,9 +259,10 @@ def _law_analysis(subject: Subject, graphs: Sequence[Graph], leaders: Collection
         leader_settle_s=leader_settle_s,
         limit_s=None if leader_settle_s is None else leader_settle_s + hops * subject.pass_on_s,
         leader_step_settle_s=leader_step_settle_s,
-        velocity_error_shift_m=shift_m(law_gains, VELOCITY_ERROR_M_S),
-        velocity_error_shift_corrected_m=shift_m(law_gains, VELOCITY_ERROR_M_S)
-        * share_left(tau / ERROR_TURNS_S, subject.fleet.law.velocity_correction_1_s),
+        velocity_error_shift_m=shifted_m,
+        velocity_error_shift_corrected_m=None
+        if shifted_m is None
+        else shifted_m * share_left(tau / ERROR_TURNS_S, correction_1_s),
         G=coupling.G.tolist(),
         **flight,
     )

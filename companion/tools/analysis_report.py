@@ -33,14 +33,16 @@ LEGEND = f"""\
   delay margin: the delay on board above which the formation is unstable, with the links of the scenario,
     or with any up to {LATE_LINK_S:g} s where it has none
   string gain: factor by which an oscillation grows on its way from the leader, at the frequency
-    where it grows most
+    where it grows most; `gain per hop` of `sitl compare` is of the largest deviations after a step
   alpha, rho, gamma: exponent, weight_ratio and feedforward of the law; gamma is the share of the
     neighbours' acceleration that is fed forward
   shift: where a vehicle rests while its velocity disagrees with its position; corrected: with
-    velocity_correction_1_s, for an error that turns once in {ERROR_TURNS_S:g} s
+    velocity_correction_1_s, for an error that turns once in {ERROR_TURNS_S:g} s. Not of a law with memory,
+    which can take the shift out, as integral action does
   transient peak: the largest error of any vehicle over the largest at the start
-  no law sooner: a leader alone, and its motion passed on over all hops with mean delay,
-    wait and loss"""
+  no law sooner: so long a leader alone takes under this law, and its motion over all hops, with mean
+    delay, wait and loss. It differs by law, as leaders do: behind such a leader no law of followers is
+    sooner"""
 
 
 def report(analysis: Analysis) -> str:
@@ -239,7 +241,7 @@ def _law_table(analysis: Analysis) -> list[str]:
     def add(title: str, cell: Callable[[LawAnalysis], str], *, of_stable: bool = False) -> None:
         rows.append((title, [cell(law) if law.stable or not of_stable else "unstable" for law in laws]))
 
-    add("gains on position, velocity", lambda law: f"{law.gain_position_1_s2:g}, {law.gain_velocity_1_s:g}")
+    add("gains over 1 m, over 1 m/s", lambda law: f"{law.gain_position_1_s2:g}, {law.gain_velocity_1_s:g}")
     add("alpha and rho of the weights, gamma", _weighting)
     add("lambda_min", lambda law: f"{law.lambda_min:.4f}")
     add("convergence rate, no lag [1/s]", lambda law: f"{law.rate_1_s:.4f}")
@@ -251,13 +253,13 @@ def _law_table(analysis: Analysis) -> list[str]:
     add("  at [rad/s]", lambda law: _gain(law.string_gain_per_hop_rad_s), of_stable=True)
     add("string gain, leader to last", lambda law: _gain(law.string_gain_to_last), of_stable=True)
     add("  at [rad/s]", lambda law: _gain(law.string_gain_to_last_rad_s), of_stable=True)
-    add(f"shift by {VELOCITY_ERROR_M_S:g} m/s velocity error [m]", lambda law: f"{law.velocity_error_shift_m:.3f}")
-    add("  corrected", lambda law: f"{law.velocity_error_shift_corrected_m:.3f}")
+    add(f"shift by {VELOCITY_ERROR_M_S:g} m/s velocity error [m]", lambda law: _shift(law.velocity_error_shift_m))
+    add("  corrected", lambda law: _shift(law.velocity_error_shift_corrected_m))
     add("transient peak, worst start", lambda law: _gain(law.worst_transient_peak), of_stable=True)
     add("transient peak, this start", lambda law: _gain(law.transient_peak), of_stable=True)
     add("settled to 10 cm [s]", lambda law: _number(law.predicted_settle_s, 1), of_stable=True)
     add("  a leader alone [s]", lambda law: _number(law.leader_settle_s, 1), of_stable=True)
-    add("  no law sooner than [s]", lambda law: _number(law.limit_s, 1), of_stable=True)
+    add("  behind it no law sooner than [s]", lambda law: _number(law.limit_s, 1), of_stable=True)
     add("largest distance of neighbours [m]", lambda law: _extreme(law.predicted_max_distance_m, max), of_stable=True)
     add("smallest distance of all [m]", _smallest, of_stable=True)
     add("smallest distance of neighbours [m]", lambda law: _extreme(law.predicted_min_distance_m, min), of_stable=True)
@@ -333,6 +335,10 @@ def _smallest(law: LawAnalysis) -> str:
 
 def _gain(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
+
+
+def _shift(value_m: float | None) -> str:
+    return "-" if value_m is None else f"{value_m:.3f}"
 
 
 def _number(value: float | None, digits: int) -> str:

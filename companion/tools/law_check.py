@@ -17,7 +17,7 @@ from types import FrameType
 import msgspec
 
 from companion.config.code_file import code_error
-from companion.config.law import LawSection, law_class, law_problems
+from companion.config.law import LawSection, law_class, law_problems, parameter_problem
 from companion.core.safety.safeguard import SLOW_LAW_S
 from companion.laws import FormationState, Law, Neighbour, Own
 from companion.laws._trial import MOST_BESIDE_M_S2, MOST_M_S2
@@ -45,15 +45,14 @@ def check_law(section: LawSection) -> Iterator[LawFinding]:
     Raises ConfigError where the law cannot be loaded at all.
     """
     cls = law_class(section)
-    unbounded = [name for name in cls.__struct_fields__ if not _has_bounds(cls, name)]
-    words = "each has bounds" if cls.__struct_fields__ else "none"
-    if unbounded:
-        words = f"{', '.join(unbounded)} without bounds; write NAME: Annotated[float, Meta(ge=0, le=1)], or Gain"
-    yield LawFinding("parameters", not unbounded, words)
-    for problem in law_problems(section, "law"):
-        subject = problem.field.removeprefix("law.").removeprefix("parameters.")
+    problem = parameter_problem(cls)
+    yield LawFinding("parameters", not problem, problem or ("each has bounds" if cls.__struct_fields__ else "none"))
+    if problem:
+        return
+    for found in law_problems(section, "law"):
+        subject = found.field.removeprefix("law.").removeprefix("parameters.")
         yield LawFinding(
-            "first calls" if subject in ("file", "name") else subject, False, _without(section.file, problem.text)
+            "first calls" if subject in ("file", "name") else subject, False, _without(section.file, found.text)
         )
         return
     law = msgspec.convert(section.parameters, cls)
@@ -86,16 +85,6 @@ def _tried(subject: str, attempt: Callable[[Law], tuple[bool, str]], law: Law, s
 
 def _without(source: str | None, text: str) -> str:
     return text.removeprefix(f"{source}: ")
-
-
-def _has_bounds(cls: type[Law], name: str) -> bool:
-    """Whether a number has both bounds; other types count as bounded."""
-    struct = msgspec.inspect.type_info(cls)
-    assert isinstance(struct, msgspec.inspect.StructType)
-    kind = next(info.type for info in struct.fields if info.name == name)
-    if not isinstance(kind, msgspec.inspect.FloatType | msgspec.inspect.IntType):
-        return True
-    return (kind.ge is not None or kind.gt is not None) and (kind.le is not None or kind.lt is not None)
 
 
 def _any_state(law: Law) -> tuple[bool, str]:

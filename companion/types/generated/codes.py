@@ -296,7 +296,7 @@ TEXTS: dict[str, str] = {
     "TILT_EXCEEDED": "tilted beyond the limit",
     "FAILSAFE_ACTIVE": "the autopilot reports a failsafe of its own",
     "TICK_LATE": "the agent's ticks begin late",
-    "LAW_SLOW": "the formation law takes too long",
+    "LAW_SLOW": "the law takes too long, or the computer is busy",
     "BATTERY_LOW": "battery below leave_below_percent",
     "BATTERY_CRITICAL": "battery below land_below_percent",
     "COMMAND_MALFORMED": "malformed command",

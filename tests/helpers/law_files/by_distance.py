@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 from math import dist
 
-from companion.laws import FormationState, Law, Neighbour, Own
+from companion.laws import FormationState, Gain, Law, Neighbour, Own
 from companion.types.values import Vector3
 
 
 class ByDistance(Law, frozen=True):
     """k1 on position, k2 on velocity."""
 
-    k1: float = 1.5
-    k2: float = 2.0
+    k1: Gain = 1.5
+    k2: Gain = 2.0
 
     def acceleration(self, own: Own, neighbours: Sequence[Neighbour], reference: FormationState | None) -> Vector3:
         here = _place(own)

@@ -3,16 +3,16 @@
 from collections.abc import Sequence
 from typing import ClassVar
 
-from companion.laws import FormationState, Law, Memory, Neighbour, Own
+from companion.laws import FormationState, Gain, Law, Memory, Neighbour, Own
 from companion.types.values import Vector3
 
 
 class Integral(Law, frozen=True):
     """position_gain_1_s2, velocity_gain_1_s and integral_gain_1_s3: on the mean error of position, velocity, its integral."""
 
-    position_gain_1_s2: float = 2.0
-    velocity_gain_1_s: float = 2.4
-    integral_gain_1_s3: float = 0.3
+    position_gain_1_s2: Gain = 2.0
+    velocity_gain_1_s: Gain = 2.4
+    integral_gain_1_s3: Gain = 0.3
     memory: ClassVar[int] = 1
 
     def acceleration(self, own: Own, neighbours: Sequence[Neighbour], reference: FormationState | None) -> Vector3:

@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 from typing import ClassVar
 
-from companion.laws import FormationState, Law, Neighbour, Own, Values
+from companion.laws import FormationState, Gain, Law, Neighbour, Own, Values
 from companion.types.values import Vector3
 
 
 class TwoInSeries(Law, frozen=True):
     """a, b: gains of the two, 1/s."""
 
-    a: float = 1.0
-    b: float = 2.0
+    a: Gain = 1.0
+    b: Gain = 2.0
     publishes: ClassVar[int] = 1
 
     def acceleration(self, own: Own, neighbours: Sequence[Neighbour], reference: FormationState | None) -> Vector3:

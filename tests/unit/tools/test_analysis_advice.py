@@ -16,6 +16,7 @@ from companion.analysis.margins import least_delay_margin_s, string_gains
 from companion.analysis.response import SPARE_S, flown_model
 from companion.cli.main import main
 from companion.config.file import ConfigError
+from companion.config.named_files import law_override
 from companion.tools.analysis import Analysis, analyse
 from companion.tools.analysis_report import report, verdict
 from companion.tools.subject import load_subject
@@ -212,6 +213,15 @@ def test_fleet_file_is_analyzed_for_a_step_of_one_metre(tmp_path: Path) -> None:
     analysis = analyse(load_subject(in_a_line(tmp_path, 3, {"name": "cooperative"})))
     assert analysis.start_error_m == pytest.approx(1.0)
     assert "the farthest vehicle 1.00 m from its slot" in " ".join(report(analysis).split())
+
+
+def test_a_law_with_memory_has_no_shift_by_a_velocity_error() -> None:
+    """Integral action takes it out; k2/k1 times the error would be that of the law without it."""
+    integral = law_override(str(CONFIG / "examples" / "integral.py"))
+    analysis = analyse(load_subject(CONFIG / "scenarios" / "platoon.yaml", [integral]))
+    assert analysis.laws["integral"].velocity_error_shift_m is None
+    row = next(line for line in report(analysis).splitlines() if line.startswith("shift by"))
+    assert row.split()[-5:] == ["0.120", "0.086", "0.086", "0.086", "-"]
 
 
 def test_moving_reference_is_mentioned() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
-from companion.config.law import BUILT_IN
+from companion.config.law import BUILT_IN, LawSection, law_in_file, law_problems
 from companion.tools.laws import check_file
 from tests.helpers.bad_laws import BAD_LAWS, FLOWN, HEAD, law, write_law
 
@@ -72,7 +72,17 @@ def test_the_shipped_laws_pass(name: str, capsys: pytest.CaptureFixture[str]) ->
 @pytest.mark.parametrize("given", ["(1.0, 2.0)", "None", "'abc'", "5.0"])
 def test_an_answer_of_another_shape(given: str, tmp_path: Path) -> None:
     (line,) = failed(write_law(tmp_path, "bad", law(f"        return {given}\n"))).values()
-    assert f"with no neighbour its acceleration is {given}; expected (x, y, z), three numbers" in line
+    assert f"line 7: with no neighbour its acceleration is {given}; expected (x, y, z), three numbers" in line
+
+
+@pytest.mark.parametrize("method", ["remember", "publish"])
+@pytest.mark.parametrize("given", ["()", "None", "((1.0, 2.0),)", "(5.0,)"])
+def test_vectors_of_another_shape(method: str, given: str, tmp_path: Path) -> None:
+    source = law(FLOWN, memory=int(method == "remember")) + f"    publishes = {int(method == 'publish')}\n\n"
+    source += f"    def {method}(self, own, neighbours, reference):\n        return {given}\n"
+    found = failed(write_law(tmp_path, "bad", source))
+    assert list(found) == ["first calls"]
+    assert found["first calls"].startswith(f"line 11: {method} gives {given}; expected a tuple of (x, y, z)")
 
 
 def test_a_law_that_needs_a_neighbour(tmp_path: Path) -> None:
@@ -84,6 +94,18 @@ def test_a_number_without_bounds(tmp_path: Path) -> None:
     text = HEAD + "class Mine(Law, frozen=True):\n    gain: float = 1.0\n\n"
     text += "    def acceleration(self, own, neighbours, reference):\n" + FLOWN
     assert "gain without bounds" in failed(write_law(tmp_path, "mine", text))["parameters"]
+
+
+@pytest.mark.parametrize("declared", ["gain: float = 1.0", "gain = 1.0", "feedforward = 0.5"])
+def test_a_configuration_refuses_what_the_check_refuses_of_parameters(declared: str, tmp_path: Path) -> None:
+    text = HEAD + f"class Mine(Law, frozen=True):\n    {declared}\n    MOST = 2.0\n\n"
+    file = write_law(tmp_path, "mine", text + "    def acceleration(self, own, neighbours, reference):\n" + FLOWN)
+    (found,) = failed(file).values()
+    problems = list(law_problems(LawSection(**law_in_file(str(file))), "law"))
+    assert problems == [("law.file", f"{file}: {found}")]
+    assert found.startswith(
+        declared.split()[0].rstrip(":") + (" without bounds" if ":" in declared else " has no type")
+    )
 
 
 def test_a_new_law_passes_and_is_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

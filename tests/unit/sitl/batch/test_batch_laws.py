@@ -18,12 +18,12 @@ FLOWN_S = 3.0
 
 # Feedback of the mean of the neighbours, of its integral, and of what they publish.
 PLAIN = """\
-from companion.laws import Law
+from companion.laws import Gain, Law
 
 class Mine(Law, frozen=True):
     memory = 1
     publishes = 1
-    gain: float = 1.4
+    gain: Gain = 1.4
 
     def off(self, own, neighbours, reference):
         seen = [*neighbours, reference] if reference is not None else neighbours or [own]

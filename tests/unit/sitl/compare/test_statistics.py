@@ -83,6 +83,7 @@ def test_the_closest_pair_is_found_and_one_vehicle_has_none() -> None:
 def test_published_values_cost_bytes(tmp_path: Path) -> None:
     cooperative = Path(cooperative_law.__file__).read_text(encoding="utf-8")
     publishing = cooperative.replace("Weighted, frozen=True):", "Weighted, frozen=True):\n    publishes = 2", 1)
+    publishing += "\n    def publish(self, own, neighbours, reference):\n        return ((0.0, 0.0, 0.0),) * 2\n"
     (tmp_path / "publishing.py").write_text(publishing, encoding="utf-8")
     plain = packet_bytes(LawSection())
     assert 200 < plain < 400
