@@ -22,6 +22,7 @@ So the published bounds are not those of this law.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 from math import hypot
 from typing import Annotated
 
@@ -86,7 +87,11 @@ class Trimmed(Law, frozen=True):
         weights = self.weights(False, [neighbour.prc for neighbour in neighbours])
         kept = [neighbour for weight, neighbour in zip(weights, neighbours, strict=True) if weight]
         for _ in range(min(self.most_liars, (len(kept) - 1) // 2)):
-            differences = [sum(self._difference(one, other) for other in kept) for one in kept]
+            differences = [0.0 for _ in kept]
+            for (i, one), (j, other) in combinations(enumerate(kept), 2):
+                difference = self._difference(one, other)
+                differences[i] += difference
+                differences[j] += difference
             del kept[differences.index(max(differences))]
         return kept
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, pairwise
 from math import inf
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from msgspec.structs import replace
@@ -37,6 +37,7 @@ SAMPLE = 16  # vehicles for which a law is asked both ways, once for each number
 SHIFT = 1.0  # m, m/s and so on: a formation in its slots tells nothing of a law
 SAME = 1e-9
 FEW = 8  # so many vehicles are asked about sooner one by one; with more neighbours than that they are a cohort of their own
+FloatRows: TypeAlias = tuple[list[float], list[list[float]], list[float]]  # own, neighbours, reference; of one vehicle
 
 
 class Question(NamedTuple):
@@ -114,15 +115,18 @@ class Known:
         own, reference = list(self.own[:, vehicles]), list(self.reference[:, vehicles])
         return _arguments(law, cohort.kind.leads, own, neighbours, reference)
 
+    def of_each(self, cohort: Cohort, begin: int, end: int) -> Iterator[FloatRows]:
+        """What each of the vehicles `begin` to `end` of this cohort knows, in floats."""
+        size, seen, first = cohort.end - cohort.begin, cohort.seen, cohort.first
+        packets = self.neighbours[:, first : first + seen * size].reshape(len(self.neighbours), seen, size)
+        packets = packets[:, :, begin - cohort.begin : end - cohort.begin].transpose(2, 1, 0)
+        own, reference = self.own[:, begin:end].T, self.reference[:, begin:end].T
+        return zip(own.tolist(), packets.tolist(), reference.tolist(), strict=True)
+
     def alone(self, law: Law, cohort: Cohort, vehicle: int) -> tuple[Own, list[Neighbour], FormationState | None]:
-        """What one vehicle knows, in floats."""
-        size, at = cohort.end - cohort.begin, cohort.first + vehicle - cohort.begin
-        neighbours = self.neighbours[:, at : at + cohort.seen * size : size].T.tolist() if cohort.seen else []
-        neighbours = [one for one in neighbours if one[PRC] < inf]
-        for one in neighbours:
-            one[PRC] = int(one[PRC])
-        reference = self.reference[:, vehicle].tolist()
-        return _arguments(law, cohort.kind.leads, self.own[:, vehicle].tolist(), neighbours, reference)
+        """What one vehicle knows, as its law is asked with it."""
+        (rows,) = self.of_each(cohort, vehicle, vehicle + 1)
+        return _of_floats(law, cohort.kind.leads, rows)
 
     def shifted(self, by: float) -> Known:
         """Other numbers, but for PrC."""
@@ -151,6 +155,7 @@ class BatchLaws:
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns, slot_enu_m: FloatArray) -> None:
         self._columns = columns
+        self._formation: list[int] = columns.formation.tolist()
         self._ids = [sorted(member.id for member in scenario.fleet.vehicles) for scenario in scenarios]
         self._sections = [scenario.fleet.law for scenario in scenarios]
         laws = {b: law_of(section) for b, section in enumerate(self._sections)}
@@ -253,24 +258,32 @@ class BatchLaws:
                 return
             except Exception as error:  # noqa: BLE001 -- the code of a user
                 self._fly_alone(kind, error)
-        for vehicle in range(cohort.begin, cohort.end):
-            self._answer_alone(question, known, cohort, vehicle, answers[:, vehicle - cohort.begin])
+        rows = known.of_each(cohort, cohort.begin, cohort.end)
+        of_each = [
+            self._answer_alone(question, kind, column, one, len(answers) // 3)
+            for column, one in zip(known.columns[cohort.begin : cohort.end].tolist(), rows, strict=True)
+        ]
+        answers[:] = np.array(of_each).T
 
     def _answer_again(self, question: Question, known: Known, answers: FloatArray) -> None:
         """About the vehicles whose answers cannot be flown, to tell why."""
         for cohort in known.cohorts:
             rows = answers[: 3 * question.vectors(cohort.kind.first), cohort.begin : cohort.end]
             for place in np.flatnonzero(~_flyable(rows, question.most).all(axis=0)).tolist():
-                self._answer_alone(question, known, cohort, cohort.begin + place, rows[:, place])
+                vehicle = cohort.begin + place
+                (one,) = known.of_each(cohort, vehicle, vehicle + 1)
+                rows[:, place] = self._answer_alone(
+                    question, cohort.kind, int(known.columns[vehicle]), one, len(rows) // 3
+                )
 
     def _answer_alone(
-        self, question: Question, known: Known, cohort: Cohort, vehicle: int, answers: FloatArray
-    ) -> None:
+        self, question: Question, kind: LawKind, column: int, rows: FloatRows, vectors: int
+    ) -> tuple[float, ...]:
         try:
-            answers[:] = self._alone(question, known, cohort, vehicle, answers.size // 3)
+            return self._alone(question, kind, column, rows, vectors)
         except Exception as error:  # noqa: BLE001 -- the code of a user
-            answers[:] = 0.0
-            self._fail(int(known.columns[vehicle]), error)
+            self._fail(column, error)
+            return (0.0,) * (3 * vectors)
 
     def _together(self, question: Question, known: Known, cohort: Cohort, end: int, answers: FloatArray) -> None:
         """Into `answers` (rows, vehicles up to `end`)."""
@@ -281,10 +294,12 @@ class BatchLaws:
         if next(row, None) is not None:
             raise ValueError("too few vectors")
 
-    def _alone(self, question: Question, known: Known, cohort: Cohort, vehicle: int, vectors: int) -> FloatArray:
-        law = cohort.kind.laws[int(self._columns.formation[known.columns[vehicle]])]
-        found = question.ask(law, *known.alone(law, cohort, vehicle))
-        return np.array(finite_vectors(tuple(found), vectors, question.most, question.verb), dtype=np.float64).ravel()
+    def _alone(
+        self, question: Question, kind: LawKind, column: int, rows: FloatRows, vectors: int
+    ) -> tuple[float, ...]:
+        law = kind.laws[self._formation[column]]
+        found = question.ask(law, *_of_floats(law, kind.leads, rows))
+        return tuple(chain.from_iterable(finite_vectors(tuple(found), vectors, question.most, question.verb)))
 
     def _compare(self, question: Question, known: Known, cohort: Cohort, rows: int) -> None:
         """Raises ValueError where arrays give something else than floats, for the states of now and others."""
@@ -292,9 +307,11 @@ class BatchLaws:
         in_arrays = np.empty((rows, end - cohort.begin))
         for numbers in (known, known.shifted(SHIFT).locked()):
             self._together(question, numbers, cohort, end, in_arrays)
-            for place, vehicle in enumerate(range(cohort.begin, end)):
+            columns = known.columns[cohort.begin : end].tolist()
+            of_each = numbers.of_each(cohort, cohort.begin, end)
+            for place, (column, one) in enumerate(zip(columns, of_each, strict=True)):
                 try:
-                    alone = self._alone(question, numbers, cohort, vehicle, rows // 3)
+                    alone = self._alone(question, cohort.kind, column, one, rows // 3)
                 except Exception:  # noqa: BLE001 -- it may be undefined there
                     continue
                 if not np.allclose(in_arrays[:, place], alone, rtol=SAME, atol=SAME):
@@ -345,6 +362,15 @@ def _flyable(answers: FloatArray, most: float) -> BoolArray:
 
 def _source(section: LawSection) -> Path:
     return Path(section.file or section.name)
+
+
+def _of_floats(law: Law, leads: bool, rows: FloatRows) -> tuple[Own, list[Neighbour], FormationState | None]:
+    """What a law is asked with about one vehicle. An infinite PrC is no neighbour."""
+    own, neighbours, reference = rows
+    neighbours = [one for one in neighbours if one[PRC] < inf]
+    for one in neighbours:
+        one[PRC] = int(one[PRC])
+    return _arguments(law, leads, own, neighbours, reference)
 
 
 def _arguments(

@@ -68,7 +68,12 @@ def jobs_of(flights: Sequence[CellFlight], check: Sequence[CellFlight], seconds:
     jobs = [
         FlightJob(own, tuple(every[number] for number in own), seconds, by_agents=False)
         for numbers in kinds.values()
-        for own in _cut(numbers, chunk_size(len(numbers), flights[numbers[0]].cell.place.vehicles, seconds))
+        for own in _cut(
+            sorted(
+                numbers, key=lambda number: flights[number].cell.law
+            ),  # vehicles with one law are asked about together
+            chunk_size(len(numbers), flights[numbers[0]].cell.place.vehicles, seconds),
+        )
     ]
     return jobs + [FlightJob((number,), (every[number],), seconds, by_agents=True) for number in single]
 
