@@ -10,6 +10,7 @@ from companion.assembly import build_agent
 from companion.recording.codec import recorded_config
 from companion.recording.reader import RecordedTick, Recording, recordings
 from companion.types.flight import FlightPhase
+from sitl.flight.scenario import Scenario
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.report.progress import FlightProgress
 from tests.bench.figures import REPEATS, Row, Section, percentile
@@ -17,7 +18,7 @@ from tests.bench.scenarios import star
 
 FEW = 3
 NEIGHBOURS = (FEW, 10, 50)
-AGENT = 2  # the follower in the middle of the star
+AGENT = 2  # a follower, and the middle of the star
 FORM_S = 4.0
 PERIOD_US = 20_000.0
 HOW = """\
@@ -31,7 +32,7 @@ tick, and are compared with the same ticks without waiting."""
 
 def measure(folder: Path) -> Section:
     """Files of the flights are written below `folder`."""
-    flights = {count: _recorded(count, folder / f"step_{count}") for count in NEIGHBOURS}
+    flights = {count: recorded(star(count, FORM_S), folder / f"step_{count}") for count in NEIGHBOURS}
     passes = {count: [step_times_us(*flights[count]) for _ in range(REPEATS)] for count in NEIGHBOURS}
     waiting = [step_times_us(*flights[FEW], PERIOD_US / 1e6) for _ in range(REPEATS)]
     rows = [
@@ -58,13 +59,12 @@ def measure(folder: Path) -> Section:
     return Section(title="Agent.step", how=HOW, rows=tuple(rows))
 
 
-def _recorded(neighbours: int, folder: Path) -> tuple[Recording, list[RecordedTick]]:
-    """What the follower recorded in a flight."""
+def recorded(scenario: Scenario, folder: Path) -> tuple[Recording, list[RecordedTick]]:
+    """What vehicle 2, a follower, records in a flight."""
     folder.mkdir()
-    scenario = star(neighbours, FORM_S)
     flown = fly_in_virtual_time(scenario, FlightProgress("", True, 0.0), recordings=folder)
     if flown.failure:
-        raise RuntimeError(f"{neighbours} neighbours: {flown.failure}")
+        raise RuntimeError(f"{len(scenario.fleet.vehicles)} vehicles: {flown.failure}")
     recording = next(one for one in recordings(folder, print) if one.vehicle_id == AGENT)
     return recording, list(recording.ticks(print))
 

@@ -45,10 +45,6 @@ def section(flown: dict[int, Flown]) -> Section:
         target = Target("value", most=5.5) if peers == FEW else None
         what, remark = f"CPU of an agent, {peers} peers", one.failure
         rows.append(Row(what=what, unit="% of a core", values=cpu[peers], target=target, remark=remark))
-    for more in (SOME, MANY):
-        each = tuple((b - a) / (more - FEW) for a, b in zip(cpu[FEW], cpu[more], strict=False))
-        what = f"CPU for each further peer, from {FEW} to {more}"
-        rows.append(Row(what=what, unit="% of a core", values=each, target=Target("value", most=0.15)))
     for peers, one in flown.items():
         target = Target("value", most=45.0) if peers == FEW else None
         what = f"memory of an agent, {peers} peers"

@@ -125,12 +125,11 @@ def test_a_tick_is_due_when_its_first_position_arrives(tmp_path: Path) -> None:
     assert (first_us, last_us) == pytest.approx((900.0, 100.0))
 
 
-def test_further_peers_cost_the_difference_of_two_flights() -> None:
+def test_agents_use_what_passes_between_two_samples() -> None:
     rows = resources_section({FEW: flown(0.05), SOME: flown(0.06), MANY: flown(0.074, "vehicle 3 left")}).rows
     by_name = {one.what: one for one in rows}
     assert by_name["CPU of an agent, 3 peers"].value == pytest.approx(5.0)
-    assert by_name["CPU for each further peer, from 3 to 7"].value == pytest.approx(0.25)
-    assert by_name["CPU for each further peer, from 3 to 15"].value == pytest.approx(0.2)
+    assert by_name["CPU of an agent, 15 peers"].value == pytest.approx(7.4)
     assert by_name["ticks of the slowest of 16 agents"].is_met is False
     assert "vehicle 3 left" in by_name["ticks of the slowest of 16 agents"].remark
 
