@@ -74,7 +74,7 @@ def fly_all(workers: Workers, plan: Plan, progress: ShareProgress, stops: Callab
     with workers.running(fly_job, jobs, [job.work for job in jobs]) as in_progress:
         while not in_progress.wait(POLL_S) and not stops():
             done = sum(map(len, filter(None, in_progress.results_so_far())))
-            progress.show(in_progress.share_done, f"{done} of {total} flights")
+            progress.show(in_progress.share_done, f"{done} of {total} flights complete" if done else f"{total} flights")
         results = in_progress.results_so_far() if stops() else in_progress.results()
     return _in_order(plan, jobs, results)
 

@@ -14,7 +14,15 @@ from sitl.compare.conditions import CONDITIONS
 from sitl.compare.graphs import GRAPHS
 from sitl.compare.plan import Plan
 from sitl.compare.plots import ComparisonFigure
-from sitl.compare.report import Compared, conditions_by_agents, failures_text, interval_text, number_text, remarks_text
+from sitl.compare.report import (
+    Compared,
+    conditions_by_agents,
+    failures_text,
+    interval_text,
+    number_text,
+    remarks_text,
+    settings_text,
+)
 from sitl.compare.statistics import MEANINGS, ByCell, CellSummary, Winner
 from sitl.report.page_style import STYLE
 
@@ -40,7 +48,9 @@ def page_of(plan: Plan, cells: ByCell, result: Compared, drawn: Mapping[str, Com
         graphs=_about([place.graph for place in places], {name: graph.about for name, graph in GRAPHS.items()}),
         conditions=_about([place.condition for place in places], {name: one.about for name, one in CONDITIONS.items()}),
         by_agents=conditions_by_agents(cells),
-        notes=[*failures_text(cells), *remarks_text(cells)],
+        failures=list(failures_text(cells)),
+        remarks=remarks_text(cells),
+        settings=settings_text(result),
         figures=[(name, MEANINGS[name].label) for name in figures],
         wins=_wins(plan, result, figures),
         places=_by_place(result),

@@ -73,11 +73,15 @@ class CellFlight:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """All flights, in the order of cells and seeds. `check` are flights of a batch that the agents fly as well."""
+    """All flights, in the order of cells and seeds.
+
+    `check` are flights of a batch that the agents fly as well; `settings`: those of --set, of all flights.
+    """
 
     laws: dict[str, LawSection]
     flights: list[CellFlight]
     check: list[CellFlight]
+    settings: list[str]
     seeds: int
     seconds: float
 
@@ -102,7 +106,7 @@ def plan_of(options: CompareOptions, progress: Callable[[float], None]) -> Plan:
             scenario = changed(scenario, overrides, place.varied)
             cells[Cell(law, place)].append(_planned(Cell(law, place), seed, scenario, condition))
     flights = [flight for own in cells.values() for flight in own]
-    return Plan(laws, flights, _to_check(flights, options.lockstep), options.seeds, seconds)
+    return Plan(laws, flights, _to_check(flights, options.lockstep), overrides, options.seeds, seconds)
 
 
 def _laws(options: CompareOptions, source: Scenario | None) -> dict[str, LawSection]:

@@ -22,9 +22,10 @@ from sitl.compare.statistics import ByCell, CellSummary, MedianInterval
 
 MOST_PLACES, MOST_PANELS = 60, 12  # more are not legible; compare.json has all
 SETTLE, DISTANCE = "settle_s", "smallest_distance_m"
-PANEL_IN = (3.1, 2.7)
+PANEL_IN = (4.3, 3.5)
 SOON_S = 0.5  # an earlier settling is drawn here
 NEVER_FACTOR, END_FACTOR = 1.45, 1.9  # of the duration: where unsettled flights are drawn, and the end of the axis
+MARK_SHARE = 0.7  # of the duration: a later mark would touch the word "never"
 RC: Any = {"pdf.fonttype": 42, "font.sans-serif": ["DejaVu Sans"]}  # text stays text
 
 
@@ -52,8 +53,8 @@ def figures_of(plan: Plan, cells: ByCell, result: Compared) -> dict[str, Compari
         "settling": ComparisonFigure(
             _matrix(laws, drawn, found, result),
             "Settling of every law in every place",
-            "Median time in seconds from which all vehicles stay within 10 cm of their slots; darker is later, a dash is "
-            "never. A frame marks the soonest law of a row; a thick one is clear: the paired difference to the next is above "
+            "Median time in seconds from which all vehicles stay within 10 cm of their slots, for 2 s at least; darker is "
+            "later. A frame marks the soonest law of a row; a thick one is clear: the paired difference to the next is above "
             f"zero at 95 %.{left_out}",
         ),
         "by_graph": ComparisonFigure(
@@ -82,7 +83,7 @@ def _interval(found: Found, law: str, place: Place, name: str) -> MedianInterval
 
 def _matrix(laws: Sequence[str], places: Sequence[Place], found: Found, result: Compared) -> Figure:
     labels = [_label(place) for place in places]
-    size = (0.8 + 0.075 * max(map(len, labels)) + 0.95 * len(laws), 1.3 + 0.21 * len(places))
+    size = (0.9 + 0.085 * max(map(len, labels)) + 1.25 * len(laws), 1.4 + 0.27 * len(places))
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
     best = {(one.place, one.law): one.clear for one in result.winners if one.figure == SETTLE}
@@ -106,8 +107,8 @@ def _matrix(laws: Sequence[str], places: Sequence[Place], found: Found, result: 
             axes.axhline(row - 0.5, color="#404040", linewidth=0.8)
     axes.set_xlim(-0.5, len(laws) - 0.5)
     axes.set_ylim(len(places) - 0.5, -0.5)
-    axes.set_xticks(range(len(laws)), [_folded(law) for law in laws], fontsize=8)
-    axes.set_yticks(range(len(places)), labels, fontsize=8)
+    axes.set_xticks(range(len(laws)), [_folded(law) for law in laws], fontsize=9)
+    axes.set_yticks(range(len(places)), labels, fontsize=9)
     axes.xaxis.tick_top()
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
@@ -120,8 +121,8 @@ def _draw_cell(axes: Axes, at: tuple[int, int], median_s: float | None, seconds:
     late = 0.0 if median_s is None else log10(max(median_s, SOON_S) / SOON_S) / log10(seconds / SOON_S)
     shade = 0.42 if median_s is None else 1.0 - 0.35 * late
     axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, facecolor=(shade, shade, shade), linewidth=0))
-    text = "–" if median_s is None else number_text(SETTLE, median_s)
-    axes.text(column, row, text, ha="center", va="center", fontsize=8, color="black" if shade > 0.5 else "white")
+    text = number_text(SETTLE, median_s)
+    axes.text(column, row, text, ha="center", va="center", fontsize=9, color="black" if shade > 0.5 else "white")
 
 
 def _label(place: Place) -> str:
@@ -156,14 +157,14 @@ def _panels(places: Sequence[Place]) -> dict[str, list[Place]]:
 def _grid(panels: dict[str, list[Place]]) -> tuple[Figure, list[Axes]]:
     columns = 2 if len(panels) == 4 else min(3, len(panels))
     rows = -(-len(panels) // columns)
-    size = (max(4.6, PANEL_IN[0] * columns), PANEL_IN[1] * rows + 0.9)
+    size = (max(6.0, PANEL_IN[0] * columns), PANEL_IN[1] * rows + 0.9)
     figure = Figure(figsize=size, layout="constrained")
     every = list(figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel())
     for axes in every[len(panels) :]:
         axes.set_visible(False)
     for axes, name in zip(every, panels, strict=False):
-        axes.set_title(name, fontsize=9)
-        dress(axes, size=8)
+        axes.set_title(name, fontsize=10)
+        dress(axes, size=9)
         below = every.index(axes) + columns
         axes.tick_params(labelbottom=below >= len(panels))
     return figure, every[: len(panels)]
@@ -173,7 +174,7 @@ def _legend(figure: Figure, axes: Axes, laws: Sequence[str]) -> None:
     handles, labels = axes.get_legend_handles_labels()
     longest = max(map(len, laws))
     columns = max(1, min(len(laws), int(figure.get_figwidth() * 13 / (longest + 6))))
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=9, frameon=False)
 
 
 def _look(index: int) -> dict[str, Any]:
@@ -200,11 +201,11 @@ def _by_graph(laws: Sequence[str], places: Sequence[Place], found: Found, second
             shift = (index - (len(laws) - 1) / 2.0) * 0.8 / len(laws)
             points = [(graphs.index((p.graph, p.vehicles)) + shift, _interval(found, law, p, SETTLE)) for p in own]
             _errorbars(axes, [(x, one, None) for x, one in points if one], seconds, _look(index) | {"label": law})
-        axes.set_xticks(range(len(graphs)), [f"{graph}\n{vehicles}" for graph, vehicles in graphs], fontsize=8)
+        axes.set_xticks(range(len(graphs)), [f"{graph}\n{vehicles}" for graph, vehicles in graphs], fontsize=9)
         axes.set_xlim(-0.6, len(graphs) - 0.4)
         axes.set_yscale("log")
         _time_axis(axes, "y", seconds)
-    figure.supylabel("settled to 10 cm after [s]", fontsize=9)
+    figure.supylabel("settled to 10 cm after [s]", fontsize=10)
     _legend(figure, every[0], laws)
     return figure
 
@@ -220,8 +221,8 @@ def _distance(laws: Sequence[str], places: Sequence[Place], found: Found, second
             _errorbars(axes, known, seconds, _look(index) | {"label": law}, along="x")
         axes.set_xscale("log")
         _time_axis(axes, "x", seconds)
-        axes.set_xlabel("settled to 10 cm after [s]" if axes.xaxis.get_tick_params()["labelbottom"] else "", fontsize=8)
-    figure.supylabel("smallest distance of two vehicles [m]", fontsize=9)
+        axes.set_xlabel("settled to 10 cm after [s]" if axes.xaxis.get_tick_params()["labelbottom"] else "", fontsize=9)
+    figure.supylabel("smallest distance of two vehicles [m]", fontsize=10)
     _legend(figure, every[0], laws)
     return figure
 
@@ -261,7 +262,7 @@ def _time_axis(axes: Axes, along: str, seconds: float) -> None:
     marks = [
         mark
         for mark in LogLocator(10.0, subs=(1.0, 2.0, 5.0)).tick_values(SOON_S, seconds)
-        if SOON_S <= mark <= seconds
+        if SOON_S <= mark <= seconds * MARK_SHARE
     ]
     axis.set_major_locator(FixedLocator([*marks, seconds * NEVER_FACTOR]))
     axis.set_major_formatter(lambda value, _: "never" if value > seconds else f"{value:g}")

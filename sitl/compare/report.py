@@ -35,7 +35,7 @@ from sitl.compare.statistics import (
 SCHEMA = 1
 MOST_ROWS = 60  # rows of the table in the terminal
 SHOWN = ("settle_s", "smallest_distance_m", "rms_m", "effort_m_s2")
-NEVER, NOTHING = "never", "-"
+NEVER, NOTHING = "never", "–"
 Row = dict[str, Any]
 """One flight, by the columns of compare.csv."""
 AGENTS, BATCH = "agents", "batch"
@@ -44,13 +44,15 @@ AGENTS, BATCH = "agents", "batch"
 class Compared(Struct, frozen=True, kw_only=True):
     """Content of compare.json. `complete` is false after a stop; then some flights are missing.
 
-    `laws`: the SHA-256 of each law that is a file. `command`: what gives the same figures again.
+    `laws`: the SHA-256 of each law that is a file. `settings`: those of --set, of all places.
+    `command`: what gives the same figures again.
     """
 
     schema: int = SCHEMA
     command: str
     versions: dict[str, str]
     laws: dict[str, str | None]
+    settings: list[str]
     seconds: float
     seeds: int
     flights: int
@@ -67,6 +69,7 @@ def compared(command: str, plan: Plan, flown: Sequence[FlownFlight], checked: Se
         command=command,
         versions=versions(),
         laws={label: section.sha256 for label, section in plan.laws.items()},
+        settings=plan.settings,
         seconds=plan.seconds,
         seeds=plan.seeds,
         flights=len(flown),
@@ -118,7 +121,7 @@ def report_text(result: Compared, cells: ByCell) -> str:
     vehicles = sorted({cell.place.vehicles for cell in cells})
     sizes = "1 vehicle" if vehicles == [1] else f"{', '.join(map(str, vehicles))} vehicles"
     stopped = "" if result.complete else f"; stopped before the end, {result.planned} were planned"
-    heading = f"{result.flights} flights of {sizes}, {result.seconds:g} s each{stopped}"
+    heading = f"{result.flights} flights of {sizes}, {result.seconds:g} s each{settings_text(result)}{stopped}"
     parts = [
         heading,
         _table(result.cells),
@@ -131,6 +134,11 @@ def report_text(result: Compared, cells: ByCell) -> str:
         parts.append(f"flown by the agents one by one, not in a batch: {', '.join(by_agents)}")
     parts.append("\n".join(["what a batch leaves out:", *(f"  {line}" for line in LEFT_OUT)]))
     return "\n\n".join(filter(None, parts))
+
+
+def settings_text(result: Compared) -> str:
+    """What --set has changed in all places."""
+    return f", all with {', '.join(result.settings)}" if result.settings else ""
 
 
 def conditions_by_agents(cells: ByCell) -> list[str]:
@@ -157,11 +165,11 @@ def _cells(one: CellSummary) -> list[str]:
 
 
 def interval_text(name: str, figure: MedianInterval | None) -> str:
-    """ "2.2 (2.1-2.3)"."""
+    """ "2.2 (2.1–2.3)"."""
     if figure is None:
         return NOTHING
     low, median, high = (number_text(name, value) for value in (figure.low, figure.median, figure.high))
-    return median if low == median == high else f"{median} ({low}-{high})"
+    return median if low == median == high else f"{median} ({low}–{high})"
 
 
 def number_text(name: str, value: float | None) -> str:

@@ -74,7 +74,10 @@ def save_plan_view(path: Path, flight: FormationFlight, watch: FlightRecord, nam
     low_m, high_m = _extent_m(flight, panels, airspace)
     width_m, height_m = high_m - low_m
     panel_in = PANEL_IN * float(np.clip(height_m / width_m, *SHAPES))
-    figure = titled_figure(0.8 + PANEL_IN * max(columns, 1.8), 1.4 + (panel_in + 0.35) * rows, f"{name}: from above")
+    width_in, legend_columns = 0.8 + PANEL_IN * max(columns, 1.8), 6 if columns == COLUMNS else 3
+    figure = titled_figure(
+        width_in, 1.4 + (panel_in + 0.35) * rows + 0.2 * (6 // legend_columns - 1), f"{name}: from above"
+    )
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes, panel in zip(grid.flat, panels, strict=False):
         draw_fence(axes, airspace.fence.corners_enu_m)
@@ -90,20 +93,21 @@ def save_plan_view(path: Path, flight: FormationFlight, watch: FlightRecord, nam
     for axes in grid[:, 0]:
         axes.set_ylabel("y, north [m]")
     _legend(grid[0, 0])
-    put_legend_below(figure, grid[0, 0], 6, f"{POSITIONS[flight.source]}, {law_title(flight)}")
+    put_legend_below(figure, grid[0, 0], legend_columns, f"{POSITIONS[flight.source]}, {law_title(flight)}")
     figure.savefig(path, dpi=DPI)
 
 
 def panels_of(watch: FlightRecord) -> list[PlanPanel]:
     """Panels from the first formation's start to the last one's end, divided by commands; at most the last MAX_PANELS.
 
-    Commands within SOON_S share a panel, and a repeated command counts once.
+    Commands within SOON_S share a panel, and a repeated command counts once. One so soon before the end, as the first of those
+    that land the fleet, has no panel: nothing follows it.
     """
     start_s, end_s = watch.formations[0].start_s, watch.formations[-1].end_s
     panels = [PlanPanel(start_s, end_s, "form")]
     for given in watch.commands:
         at_s, last = watch.began_s + given.time_s, panels[-1]
-        if not start_s < at_s < end_s or last.command.endswith(given.in_words):
+        if not start_s < at_s < end_s - SOON_S or last.command.endswith(given.in_words):
             continue
         if at_s - last.start_s < SOON_S:
             panels[-1] = PlanPanel(last.start_s, end_s, f"{last.command}, {given.in_words}")

@@ -18,6 +18,7 @@ from sitl.compare.command import run as run_compare
 from sitl.compare.options import CompareOptions
 from sitl.compare.plan import plan_of
 from sitl.report.progress import ShareProgress
+from sitl.workers import reporting_to
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 
@@ -84,7 +85,10 @@ def test_a_neighbour_that_lies_moves_the_others() -> None:
     truthful, lying = plan_of(options, lambda _share: None).flights
     assert lying.by_agents
     honest = flights.fly_in_a_batch([truthful], 6.0)[0]
-    misled = flights.fly_by_agents(lying, 6.0)
+    shares: list[float] = []
+    with reporting_to(shares.append):
+        misled = flights.fly_by_agents(lying, 6.0)
+    assert len(shares) > 5 and shares == sorted(shares) and 0.0 < shares[0] < 0.2 and 0.7 < shares[-1] <= 1.0
     assert honest.final_error_m is not None and misled.final_error_m is not None
     assert honest.final_error_m < 0.01 < 0.9 < misled.final_error_m
 
@@ -119,7 +123,7 @@ def test_ctrl_c_ends_all_processes_with_one_line(tmp_path: Path) -> None:
         start_new_session=True,
     ) as process:
         assert process.stderr is not None
-        assert "0 of 3000 flights" in process.stderr.readline()
+        assert "flying   0%   3000 flights   " in process.stderr.readline()
         os.killpg(process.pid, signal.SIGINT)
         printed, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
@@ -131,7 +135,7 @@ def test_ctrl_c_keeps_complete_flights(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupt(_progress: ShareProgress, _share: float, more: str = "") -> None:
-        if more and not more.startswith("0 of"):
+        if "complete" in more:
             os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr(ShareProgress, "show", interrupt)

@@ -2,6 +2,7 @@
 
 import csv
 import re
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 
@@ -198,8 +199,12 @@ def test_with_random_errors_agents_agree_within_the_seeds() -> None:
 
 def test_the_folder_has_page_figures_and_rows(tmp_path: Path) -> None:
     rows = flown(weighted=figures(settle_s=None, gain_per_hop=1.2))
-    result = compared("sitl compare", PLAN, rows, [FlownFlight(rows[0].flight, figures(settle_s=9.0))])
-    write_folder(tmp_path, PLAN, FlownCells(rows, []), result)
+    plan = replace(PLAN, settings=["links.peer_loss=0.05"])
+    result = compared("sitl compare", plan, rows, [FlownFlight(rows[0].flight, figures(settle_s=9.0))])
+    assert report_text(result, by_cell(rows)).startswith(
+        "48 flights of 4 vehicles, 30 s each, all with links.peer_loss=0.05;"
+    )
+    write_folder(tmp_path, plan, FlownCells(rows, []), result)
     for name in ("settling", "by_graph", "distance"):
         assert (tmp_path / f"{name}.pdf").read_bytes().startswith(b"%PDF")
     first, *_, last = csv.DictReader((tmp_path / "compare.csv").open())
@@ -212,6 +217,7 @@ def test_the_folder_has_page_figures_and_rows(tmp_path: Path) -> None:
     )
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert not re.search(r"""(src|href)=["']?(https?:)?//""", page)
+    assert "seeds 1 to 6, all with links.peer_loss=0.05." in page
     assert page.count("<svg") == 3 and "chain 4, noise" in page and "never" in page
     assert "no landing" in page, "what the batch leaves out"
     assert "✗" in page[page.index('id="check"') :]

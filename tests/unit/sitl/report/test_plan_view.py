@@ -40,6 +40,11 @@ def test_commands_that_follow_soon_share_a_panel() -> None:
     assert panels[-1].end_s == 160.0
 
 
+def test_the_command_that_ends_a_formation_has_no_panel() -> None:
+    """Over a network a landing is answered some hundredths of a second after it was given."""
+    assert [panel.command for panel in panels_of(watched((30.0, ARM), (59.9, LAND)))] == ["form", "arm 2"]
+
+
 def test_only_the_last_panels_are_drawn_when_there_are_many() -> None:
     lead = [TimelineStep(command=CommandName.LEAD, leaders=(1 + k % 2,)) for k in range(12)]
     panels = panels_of(watched(*((11.0 + 4.0 * k, step) for k, step in enumerate(lead))))
