@@ -59,7 +59,9 @@ def _try_law(data: Any, line: str, example: str, read: Callable[[Path, Any], T])
 def with_overrides(data: Any, overrides: Sequence[str], example: str) -> Any:
     """`override`; and where it sets the name of a law, what belongs to that law. Raises ConfigError."""
     key = "fleet.law.name" if isinstance(data, dict) and "fleet" in data else "law.name"
-    data = override(data, [line.replace(LAW, key, 1) if line.startswith(LAW) else line for line in overrides], example)
+    data = override(
+        data, [line.replace(LAW, key, 1) if line.startswith(f"{LAW}=") else line for line in overrides], example
+    )
     for holder in (data, data.get("fleet")) if isinstance(data, dict) else ():
         if isinstance(holder, dict) and isinstance(holder.get("law"), dict):
             holder["law"] = overridden(holder["law"])

@@ -243,6 +243,7 @@ def _vehicle(
         tracking_error_m=_rounded(tracked.to_reference_m[vehicle_id] if tracked else None),
         behind_leader_m=_rounded(tracked.to_leader_m[vehicle_id] if tracked else None),
         largest_step_deg=_rounded(watch.largest_step_deg.get(vehicle_id), 2),
+        filter_acted_s=_rounded(watch.filter_acted_s.get(vehicle_id), 1),
         rejected=status.rejected if status else {},
     )
 

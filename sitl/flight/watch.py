@@ -20,6 +20,8 @@ from sitl.report.metrics import Formation, Leadership, Track, reported_track
 from sitl.report.summary import CommandGiven, ReportedEvent, TopologyChange, overload
 
 SAME_POSITION_S = 0.005  # two reports of one position differ by less, because the transport time varies
+LONGEST_REPORTED_S = 0.5  # for which one report stands
+FILTERED_M_S2 = 0.02  # a smaller change of the command by the separation filter is none
 SILENT_S = 3.0  # the agent of a flying vehicle that reports nothing for so long has failed
 
 
@@ -49,6 +51,9 @@ class FlightWatch:
         self._drawn: dict[int, TopologyChange] = {}  # the last of every vehicle
         self._entered_s: dict[int, float] = {}
         self.largest_step_deg: dict[int, float] = {}  # of each vehicle's last formation
+        # Of each vehicle in formation: how long the separation filter changed its command, by its reports.
+        self.filter_acted_s: dict[int, float] = {}
+        self._reported_s: dict[int, float] = {}
         self._zero_s: dict[int, float] = {}  # when the RFT would have begun had it never paused
         self._flown_s = 0.0  # time into the RFT, of the last leader
         self._formed_from_s: float | None = None
@@ -70,6 +75,7 @@ class FlightWatch:
         self._follow_topology(status, now_s)
         self._follow_position(status, now_s)
         self._follow_slot(status, now_s)
+        self._follow_filter(status, now_s)
         if status.phase is FlightPhase.FORMATION and (before is None or before.phase is not FlightPhase.FORMATION):
             self._entered_s[vehicle_id] = now_s
             self._zero_s[vehicle_id] = now_s - self._flown_s
@@ -99,6 +105,14 @@ class FlightWatch:
         if len(slots) > 1 and slots[-1][1] == slots[-2][1] == slot_enu_m:
             slots.pop()
         slots.append((now_s, slot_enu_m))
+
+    def _follow_filter(self, status: Status, now_s: float) -> None:
+        """A report stands for the time since the one before."""
+        vehicle_id = status.agent.vehicle_id
+        since_s = min(now_s - self._reported_s.get(vehicle_id, now_s), LONGEST_REPORTED_S)
+        self._reported_s[vehicle_id] = now_s
+        if status.phase is FlightPhase.FORMATION and status.safety.separation.changed_m_s2 > FILTERED_M_S2:
+            self.filter_acted_s[vehicle_id] = self.filter_acted_s.get(vehicle_id, 0.0) + since_s
 
     def slots(self) -> dict[int, Track]:
         """Each vehicle's slot d_i0 over time, as it reported it, turned to the formation's heading."""

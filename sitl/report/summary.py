@@ -44,6 +44,7 @@ class VehicleSummary(Struct, frozen=True, kw_only=True):
     tracking_error_m: float | None  # about the RFT, second half of the formation: sitl/report/metrics.py
     behind_leader_m: float | None  # likewise about the leader, while it follows
     largest_step_deg: float | None  # of the commanded attitude, setpoint to setpoint
+    filter_acted_s: float | None = None  # so long the separation filter changed what the law commanded, in formation
     rejected: dict[str, int]  # counted rejections by reason
 
 
@@ -110,6 +111,7 @@ def in_words(summary: RunSummary) -> str:
         lines.append(f"  smallest distance {summary.smallest_distance_m:.2f} m, of any two in the whole flight")
     lines.append(f"{_settled(summary)}; final error {summary.final_error_m:.3f} m")
     lines.extend(_tracking_in_words(summary))
+    lines.extend(_filter_in_words(summary))
     lines.extend(_answers_in_words(summary))
     lines.extend(_ticks_in_words(summary))
     lines.extend(_overload_lines(summary))
@@ -142,6 +144,21 @@ def _tracking_in_words(summary: RunSummary) -> list[str]:
     if steps_deg := [v.largest_step_deg for v in summary.vehicles if v.largest_step_deg is not None]:
         lines.append(f"  attitude steps    at most {max(steps_deg):.1f} degrees from one setpoint to the next")
     return lines
+
+
+def _filter_in_words(summary: RunSummary) -> list[str]:
+    """Only where it acted: figures of a law that it changed are not those of the law alone."""
+    acted_s = {one.id: one.filter_acted_s for one in summary.vehicles if one.filter_acted_s}
+    if not acted_s:
+        return []
+    longest = max(acted_s, key=lambda i: acted_s[i])
+    each = "   ".join(f"{i} {seconds:.1f} s" for i, seconds in acted_s.items())
+    times = (
+        each
+        if len(acted_s) <= MAX_EACH
+        else f"on {len(acted_s)} vehicles, at most {acted_s[longest]:.1f} s, vehicle {longest}"
+    )
+    return [f"  separation filter {times}   (it changed what the law commanded)"]
 
 
 def _answers_in_words(summary: RunSummary) -> list[str]:

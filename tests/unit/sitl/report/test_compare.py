@@ -8,7 +8,10 @@ import pytest
 
 from common import ROOT
 from companion.config.law import law_of
-from companion.wire.messages import Percentiles, Timing
+from companion.types.flight import FlightPhase
+from companion.types.status import SeparationReport
+from companion.wire.messages import Percentiles, StatusReport, Timing
+from ground_fleet import leader, reported
 from sitl.cli.flights import FLY, flight_options
 from sitl.flight.flights import FlightEnd, FlightOptions, summarize
 from sitl.flight.scenario import load_scenario, with_law
@@ -104,6 +107,22 @@ def test_the_summary_of_a_flight_is_printed_in_lines() -> None:
     ]
 
 
+def test_a_summary_says_on_whom_the_separation_filter_acted_and_how_long() -> None:
+    """In formation alone: in a landing no law is judged. Without an action there is no line."""
+    watch = FlightWatch([1, 2, 3], [1], 0.0)
+    for number in range(20):
+        changed = SeparationReport(None, 0.3 if 5 <= number < 12 else 0.01)
+        phase = FlightPhase.FORMATION if number < 10 else FlightPhase.LAND
+        for status in (leader(), reported(2, separation=changed, phase=phase), reported(3)):
+            watch.receive(StatusReport(status, TIMING), 50.0 + 0.2 * number)
+    assert watch.filter_acted_s == pytest.approx({2: 1.0})
+    flown = summary("weighted", 1.78, 26.1)
+    assert "separation filter" not in in_words(flown)
+    vehicles = [msgspec.structs.replace(one, filter_acted_s=watch.filter_acted_s.get(one.id)) for one in flown.vehicles]
+    lines = in_words(msgspec.structs.replace(flown, vehicles=vehicles)).splitlines()
+    assert "  separation filter 2 1.0 s   (it changed what the law commanded)" in lines
+
+
 def test_a_flight_that_failed_before_formation_is_one_line() -> None:
     watch = FlightWatch([1, 2, 3, 4], [1], 0.0)
     end = FlightEnd(failure="vehicle 2: no", flight_s=12.0)
@@ -166,7 +185,7 @@ def test_the_command_line() -> None:
     assert options("--compare").others == ("cooperative", "weighted", "average_22", "average_26")
     assert options("--compare", "average_26").others == ["average_26"]
     both = options("--law", "average_22", "--set", "a=1", "--set", "b=2")
-    assert both.overrides == ["fleet.law.name=average_22", "a=1", "b=2"]
+    assert both.overrides == ["--law=average_22", "a=1", "b=2"]
 
 
 @pytest.mark.parametrize("bad", ["-1", "x", "1.5", "50000"])
