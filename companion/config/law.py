@@ -100,7 +100,14 @@ class LawSection(Section, frozen=True):
         if not name.endswith(PYTHON):
             return replace(self, name=name, file=None, sha256=None, parameters=kept)
         section = replace(self, parameters=kept, **law_in_file(name))
-        refuse(name, law_problems(section, "law"))
+        of_file = (f"{section.file}: ", "law.file", "law.name")
+        refuse(
+            str(section.file),
+            [
+                Problem("" if at in of_file else at, text.removeprefix(of_file[0]))
+                for at, text in law_problems(section, "law")
+            ],
+        )
         return section
 
     def agreed(self) -> LawSection:

@@ -29,7 +29,8 @@ class SamplesReference(TimedReference, frozen=True, kw_only=True, omit_defaults=
     """Through all samples at their times, with continuous acceleration. It stops only where two samples in a row are equal.
 
     samples: rows of t in seconds, rising, and x, y, z; the reference begins at the first one
-    file: a CSV file beside this file with a line `t,x,y,z` and a line for each sample, instead of `samples`
+    file: a CSV file beside this file with a line `t,x,y,z` and a line for each sample, instead of `samples`; yaw is
+        not flown, each vehicle keeps its own
     """
 
     TITLE, POSITION = "Samples", "samples"
@@ -88,7 +89,8 @@ def read_samples(path: Path) -> list[list[float]]:
     ]
     header = lines[0][1] if lines else []
     if sorted(header) != sorted(COLUMNS):
-        raise ConfigError(path, "line 1", f"{quoted(','.join(header))}: expected the columns {','.join(COLUMNS)}")
+        yaw = "; a reference has no yaw, each vehicle keeps its own" if "yaw" in ",".join(header).lower() else ""
+        raise ConfigError(path, "line 1", f"{quoted(','.join(header))}: expected the columns {','.join(COLUMNS)}{yaw}")
     order = [header.index(column) for column in COLUMNS]
     rows: list[list[float]] = []
     for number, cells in lines[1:]:

@@ -188,7 +188,10 @@ def test_a_csv_file_gives_its_samples(beside: Path) -> None:
     [
         ("", "line 1: '': expected the columns t,x,y,z"),
         ("t,x,y\n0,0,0\n", "line 1: 't,x,y': expected the columns t,x,y,z"),
-        ("t,x,y,z,yaw\n", "line 1: 't,x,y,z,yaw': expected the columns t,x,y,z"),
+        (
+            "t,x,y,z,yaw\n",
+            "line 1: 't,x,y,z,yaw': expected the columns t,x,y,z; a reference has no yaw, each vehicle keeps its own",
+        ),
         ("t,x,y,z\n0,0,0,3\n1,0,0\n", "line 3: 3 values; expected 4"),
         ("t,x,y,z\n0,0,0,3\n1,a,0,3\n", "line 3, x: 'a': expected a number from -10000 to 10000"),
         ("t,x,y,z\n0,0,nan,3\n1,0,0,3\n", "line 2, y: 'nan': expected a number from -10000 to 10000"),

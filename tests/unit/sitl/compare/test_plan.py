@@ -11,6 +11,7 @@ from sitl.compare.flights import MAX_PAIRS, MAX_SAMPLES, chunk_size, jobs_of
 from sitl.compare.options import MAX_FLIGHTS, CompareOptions
 from sitl.compare.plan import Plan, law_of_text, plan_of
 from sitl.compare.vary import axis_of
+from tests.helpers.bad_laws import BAD_LAWS, write_law
 
 PULL = """
 from companion.laws import Law
@@ -97,6 +98,13 @@ def test_what_cannot_be_flown_is_one_line(options: dict[str, object], text: str)
     with pytest.raises(ConfigError, match=text) as error:
         plan(**options)
     assert "\n" not in str(error.value)
+
+
+def test_a_law_file_that_fails_is_named_once(tmp_path: Path) -> None:
+    file = write_law(tmp_path, "raises", BAD_LAWS["raises"])
+    with pytest.raises(ConfigError) as error:
+        plan(laws=[str(file)])
+    assert str(error.value) == f"{file}: line 8: ZeroDivisionError: float division by zero"
 
 
 # ---------------------------------------------------------------- --vary
