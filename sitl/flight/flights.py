@@ -123,24 +123,32 @@ def _diverges(notice: Notice) -> DivergesError:
 def _warnings(coupling: Coupling, margin_s: float, model: LinearModel) -> list[Notice]:
     warnings = []
     if (damping := coupling.damping) < BADLY_DAMPED:
-        warnings.append(Notice(Code.BADLY_DAMPED, f"smallest damping {damping:.2f}, 1 is critical"))
+        warnings.append(Notice(Code.BADLY_DAMPED, f"swings before it settles, damping {damping:.2f} of 1"))
     if margin_s < SMALL_DELAY_MARGIN_S:
         warnings.append(Notice(Code.SMALL_DELAY_MARGIN, f"unstable from a loop delay of {margin_s:.3f} s on"))
     gain = string_gains(coupling, model)
     if gain and gain.to_last > GROWS:
-        text = f"an oscillation of the leader is up to {gain.to_last:.2f} times as large at the last vehicle"
-        warnings.append(Notice(Code.ERRORS_GROW, text))
+        warnings.append(Notice(Code.ERRORS_GROW, f"swings grow up to {gain.to_last:.2f} times to the rear"))
     return warnings
 
 
 @dataclass(frozen=True, slots=True)
 class FlightOrder:
-    """One flight to be flown: its scenario with a name, the folder for its results, and the request to stop it."""
+    """One flight to be flown: its scenario with a name, the folder for its results, and the request to stop it.
+
+    `turn` is its place among several, as in "2 of 4".
+    """
 
     scenario: Scenario
     name: str
     folder: Path
     stop: StopRequest
+    turn: str | None = None
+
+    @property
+    def title(self) -> str:
+        """What stands over its progress."""
+        return f"{self.name}, {self.scenario.fleet.law.name}" + (f" ({self.turn})" if self.turn else "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,7 +296,7 @@ def run_flights(options: FlightOptions, prepare: Prepare) -> int:
         stem = f"{name}-{scenario.fleet.law.name}"
         with prepare(scenario) as fly_once, open_folder(options.out, stem) as folder:
             if not options.quiet:
-                print("".join(f"warning, {warning}\n" for warning in warnings), end="", flush=True)
+                print("".join(f"{warning}\n" for warning in warnings), end="", flush=True)
             if options.others is None:
                 return _fly_one(FlightOrder(scenario, name, folder, stop), fly_once)
             return _fly_laws(scenarios, name, folder, fly_once, stop)
@@ -310,12 +318,21 @@ def _convergence_warnings(scenarios: list[Scenario], anyway: bool) -> list[str]:
     for scenario in scenarios:
         law = scenario.fleet.law.name
         try:
-            warnings += [f"{law}: {notice}" for notice in check_convergence(scenario)]
+            warnings += [_before_flight(law, notice) for notice in check_convergence(scenario)]
         except DivergesError as error:
             if not anyway:
                 raise
-            warnings.append(f"{law}: {error}")
+            warnings.append(f"warning, {law}: {error}")
     return warnings
+
+
+EXPECTED = (Code.BADLY_DAMPED, Code.ERRORS_GROW)  # how a flight looks that settles and lands all the same
+
+
+def _before_flight(law: LawName, notice: Notice) -> str:
+    if notice.code in EXPECTED:
+        return f"expected of {law}: {notice.text} ({notice.code})"
+    return f"warning, {law}: {notice}"
 
 
 def _fly_one(order: FlightOrder, fly_once: FlyOnce) -> int:
@@ -330,8 +347,9 @@ def _fly_laws(scenarios: list[Scenario], name: str, folder: Path, fly_once: FlyO
     A law that fails in formation is part of the comparison; a flight without a formation ends it.
     """
     results: list[FlightResult] = []
-    for scenario in scenarios:
-        result = fly_once(FlightOrder(scenario, name, folder / scenario.fleet.law.name, stop))
+    for number, scenario in enumerate(scenarios, start=1):
+        turn = f"{number} of {len(scenarios)}"
+        result = fly_once(FlightOrder(scenario, name, folder / scenario.fleet.law.name, stop, turn))
         results.append(result)
         print(in_words(result.summary) + "\n", flush=True)
         if stop.number or result.flight is None:
@@ -356,7 +374,7 @@ def _run_once(options: FlightOptions, order: FlightOrder) -> FlightResult:
     scenario, folder = order.scenario, order.folder
     folder.mkdir(parents=True, exist_ok=True)
     write_scenario(scenario, folder)
-    progress = FlightProgress(f"{order.name}, {scenario.fleet.law.name}", options.quiet, began_s=0.0)
+    progress = FlightProgress(order.title, options.quiet, began_s=0.0)
     with progress:
         flown = fly_in_virtual_time(scenario, progress, order.stop, folder if options.record else None)
     for stand_in in flown.stand_ins:

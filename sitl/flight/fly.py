@@ -77,8 +77,7 @@ class _Flight:
         self._order, self._scenario, self._folder = order, order.scenario, order.folder
         self._port_offset, self._external = port_offset, external
         self._watch = watch_of(order.scenario, time.monotonic())
-        title = f"{order.name}, {order.scenario.fleet.law.name}"
-        self._progress = FlightProgress(title, quiet, self._watch.began_s)
+        self._progress = FlightProgress(order.title, quiet, self._watch.began_s)
 
     def result(self) -> FlightResult:
         """Fly and write the folder."""

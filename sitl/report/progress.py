@@ -9,18 +9,17 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from textwrap import wrap
 from typing import TextIO
 
-from rich.console import Console
+from rich.console import Console, ConsoleDimensions
 from rich.live import Live
 from rich.text import Text
 
 from companion.ground.fleet_state import ReportedVehicle
-from companion.types.flight import WITHOUT_LEADER, FlightPhase
+from sitl.report.vehicle_table import VehicleTable
 
 VIEW_EVERY_S = 5.0
-LONGEST_AGE_S = 1e5  # above: no data has come yet
-NEEDS_A_LEADER = (FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE)
 
 
 class FlightProgress(AbstractContextManager["FlightProgress"]):
@@ -28,11 +27,12 @@ class FlightProgress(AbstractContextManager["FlightProgress"]):
 
     def __init__(self, name: str, quiet: bool, began_s: float, out: TextIO | None = None) -> None:
         self._name = name
-        self._screen = Screen(quiet, out or sys.stdout, VIEW_EVERY_S, transient=False)
+        self._screen = Screen(quiet, out or sys.stdout, VIEW_EVERY_S)
         self._screen.make_due()
         self._began_s = began_s
         self._step, self._step_began_s, self._step_lasts_s = "starting", self._began_s, 0.0
         self._remark = ""
+        self._table = VehicleTable()
 
     def __exit__(self, *_exception: object) -> None:
         self._screen.close()
@@ -52,27 +52,15 @@ class FlightProgress(AbstractContextManager["FlightProgress"]):
 
     def show(self, vehicles: Sequence[ReportedVehicle], now_s: float) -> None:
         """Refresh the view."""
-        remark = [f"  {self._remark}"] if self._remark else []
-        self._screen.show([self._headline(now_s), *remark, *(vehicle_line(vehicle) for vehicle in vehicles)])
+        size = self._screen.size
+        remark = wrap(f"  {self._remark}", size.width if size else sys.maxsize, subsequent_indent="  ")
+        room = size.height - len(remark) - 2 if size else None  # the headline, and the line of the cursor
+        self._screen.show([self._headline(now_s), *remark, *self._table.lines(vehicles, now_s, room)])
 
     def _headline(self, now_s: float) -> str:
         total = f" of {self._step_lasts_s:g}" if self._step_lasts_s else ""
         step_s = max(0.0, now_s - self._step_began_s)
         return f"{self._name}   {self._step}   {step_s:.1f}{total} s   (flight {now_s - self._began_s:.0f} s)"
-
-
-def vehicle_line(vehicle: ReportedVehicle) -> str:
-    """A vehicle's id, role, phase, altitude, error to its slot, PrC and age of its data."""
-    status = vehicle.status
-    error = "   -  " if vehicle.error_to_slot_m is None else f"{vehicle.error_to_slot_m:4.2f} m"
-    age = f"{vehicle.data_age_s * 1000:3.0f} ms old" if vehicle.data_age_s < LONGEST_AGE_S else "  -"
-    data = f"SILENT for {vehicle.age_s:.1f} s" if vehicle.silent else f"data {age}"
-    flags = [flag for flag in vehicle.flags if flag not in WITHOUT_LEADER or status.phase in NEEDS_A_LEADER]
-    alarm = f"   ! {', '.join(flags)}" if flags else ""
-    return (
-        f"  vehicle {vehicle.vehicle_id:<3d} {status.leadership.role:<8}  {status.phase:<9}"
-        f"  altitude {status.motion.position_enu_m[2]:5.2f} m   error {error}   PrC {status.leadership.prc}   {data}{alarm}"
-    )
 
 
 IN_PLACE_EVERY_S = 0.2
@@ -87,12 +75,12 @@ class _Console(Console):
 
 
 class Screen:
-    """`quiet` shows nothing. `transient` lines are removed from a terminal at the end; plain lines always remain."""
+    """`quiet` shows nothing. From a terminal the lines are removed at the end; plain lines remain."""
 
-    def __init__(self, quiet: bool, out: TextIO, plain_every_s: float, transient: bool) -> None:
+    def __init__(self, quiet: bool, out: TextIO, plain_every_s: float) -> None:
         self._console = _Console(file=out, quiet=quiet, markup=False, highlight=False, emoji=False)
         in_place = self._console.is_terminal and not self._console.is_dumb_terminal
-        self._live = Live(console=self._console, auto_refresh=False, transient=transient) if in_place else None
+        self._live = Live(console=self._console, auto_refresh=False, transient=True) if in_place else None
         self._every_s = IN_PLACE_EVERY_S if in_place else plain_every_s
         self._next_s = time.monotonic() + (0.0 if in_place else FIRST_PLAIN_AFTER_S)  # on the clock of the machine
 
@@ -101,6 +89,11 @@ class Screen:
 
     def make_due(self) -> None:
         self._next_s = 0.0
+
+    @property
+    def size(self) -> ConsoleDimensions | None:
+        """Of the terminal; None without one."""
+        return self._console.size if self._live else None
 
     def show(self, lines: Sequence[str]) -> None:
         """Replace the lines shown before, or print below them."""
@@ -115,7 +108,7 @@ class Screen:
         self._live.update(text, refresh=True)
 
     def close(self) -> None:
-        """Later output follows below; transient lines are removed."""
+        """Later output takes the place of the lines on a terminal."""
         if self._live is not None:
             self._live.stop()
 
@@ -128,7 +121,7 @@ class ShareProgress(AbstractContextManager["ShareProgress"]):
     """One line on standard error, so that results can be piped; removed from a terminal when the block ends."""
 
     def __init__(self, quiet: bool, out: TextIO | None = None) -> None:
-        self._screen = Screen(quiet, out or sys.stderr, SHARE_EVERY_S, transient=True)
+        self._screen = Screen(quiet, out or sys.stderr, SHARE_EVERY_S)
         self._began_s = time.monotonic()
         self._stage, self._stage_began_s = "", self._began_s
 

@@ -95,3 +95,17 @@ def test_run_refuses_an_unstable_formation_unless_anyway_is_given(
         sitl()
     assert "warning, weighted: FORMATION_UNSTABLE: " in capsys.readouterr().out
     assert (tmp_path / "x" / "summary.json").exists()
+
+
+def test_what_is_to_be_expected_of_a_law_is_no_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "sys.argv", ["sitl", "run", str(PLATOON), "--set", "timeline[3].for_s=1", "--out", str(tmp_path / "x")]
+    )
+    with pytest.raises(SystemExit, match="0"):
+        sitl()
+    assert capsys.readouterr().out.splitlines()[:2] == [
+        "expected of weighted: swings before it settles, damping 0.22 of 1 (BADLY_DAMPED)",
+        "expected of weighted: swings grow up to 3.91 times to the rear (ERRORS_GROW)",
+    ]

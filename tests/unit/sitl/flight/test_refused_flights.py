@@ -28,7 +28,7 @@ def refused(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch)
             main()
         shown = capsys.readouterr()
         assert ended.value.code == 2
-        assert all(line.startswith(("warning, ", "all ports are offset by ")) for line in shown.out.splitlines())
+        assert all(line.startswith(("expected of ", "all ports are offset by ")) for line in shown.out.splitlines())
         assert len(shown.err.splitlines()) == 1
         return shown.err.strip()
 

@@ -1,0 +1,82 @@
+"""The vehicles of a flight on a console of 80 columns: a row each, and below them what is remarkable.
+
+A flag that is normal in a vehicle's phase is not remarkable. Status, recordings and events have every flag.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf
+from typing import NamedTuple
+
+from companion.ground.answers import id_list
+from companion.ground.fleet_state import ReportedVehicle
+from companion.types.flight import FLAG_TEXTS, WITHOUT_LEADER, FlightPhase
+from companion.types.flight import HealthFlag as F
+
+HEAD = "  vehicle  role      phase      altitude  error to slot  PrC  data"
+LONGEST_AGE_S = 1e5  # above: no data has come yet
+NEEDS_A_LEADER = (FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE)
+UNTIL_DATA = {F.FRAME_UNKNOWN, F.POSITION_STALE, F.ATTITUDE_STALE, F.MODE_STALE, F.ARMED_STALE, F.LANDED_STALE}
+FIRST_DATA_WITHIN_S = 5.0  # of an agent that has started on the ground
+LEADER_WITHIN_S = 2.0  # of the end of the climb: vehicles that climb are no neighbours
+
+
+class Stay(NamedTuple):
+    """The phase of a vehicle, the one before it, and when it was first seen there."""
+
+    phase: FlightPhase
+    before: FlightPhase | None
+    since_s: float
+
+
+class VehicleTable:
+    """Remembers how long each vehicle has been in its phase."""
+
+    def __init__(self) -> None:
+        self._stays: dict[int, Stay] = {}
+
+    def lines(self, vehicles: Sequence[ReportedVehicle], now_s: float, room: int | None = None) -> list[str]:
+        """At most `room` lines; vehicles with flags, and silent ones, are the last to be left out."""
+        flags = {vehicle.vehicle_id: self._remarkable(vehicle, now_s) for vehicle in vehicles}
+        remarks = [
+            f"  ! {flag}, {id_list(ids)}: {FLAG_TEXTS[flag]}"
+            for flag in sorted(set().union(*flags.values()))
+            if (ids := [i for i, of_vehicle in flags.items() if flag in of_vehicle])
+        ]
+        shown = list(vehicles)
+        if room is not None and len(vehicles) > (rows := max(0, room - len(remarks) - 2)):
+            first = sorted(vehicles, key=lambda vehicle: not (vehicle.silent or flags[vehicle.vehicle_id]))[:rows]
+            shown = [vehicle for vehicle in vehicles if vehicle in first]
+            remarks.insert(0, f"  and {len(vehicles) - rows} more vehicles; a taller window shows them")
+        return [HEAD, *map(row, shown), *remarks]
+
+    def _remarkable(self, vehicle: ReportedVehicle, now_s: float) -> set[F]:
+        phase, last = vehicle.status.phase, self._stays.get(vehicle.vehicle_id)
+        if last is None or last.phase is not phase:
+            last = self._stays[vehicle.vehicle_id] = Stay(phase, last.phase if last else None, now_s)
+        armed = vehicle.status.autopilot.armed
+        return {flag for flag in vehicle.flags if now_s - last.since_s >= _normal_for_s(flag, last, armed)}
+
+
+def _normal_for_s(flag: F, stay: Stay, armed: bool) -> float:
+    """For how long from the beginning of its phase a vehicle may have this flag without any fault."""
+    if flag in WITHOUT_LEADER:
+        if stay.phase not in NEEDS_A_LEADER:
+            return inf
+        climbed = stay.phase is FlightPhase.HOLD and stay.before not in NEEDS_A_LEADER
+        return LEADER_WITHIN_S if climbed else 0.0
+    starts = stay.phase is FlightPhase.OBSERVE and not armed
+    return FIRST_DATA_WITHIN_S if starts and flag in UNTIL_DATA else 0.0
+
+
+def row(vehicle: ReportedVehicle) -> str:
+    """A vehicle's id, role, phase, altitude, error to its slot, PrC and age of its data, without its flags."""
+    status = vehicle.status
+    error = "-" if vehicle.error_to_slot_m is None else f"{vehicle.error_to_slot_m:.2f} m"
+    age = f"{vehicle.data_age_s * 1000:.0f} ms old" if vehicle.data_age_s < LONGEST_AGE_S else "-"
+    return (
+        f"  {vehicle.vehicle_id:<7d}  {status.leadership.role:<8}  {status.phase:<9}"
+        f"  {status.motion.position_enu_m[2]:6.2f} m  {error:>13}  {status.leadership.prc:>3}"
+        f"  {f'SILENT, {vehicle.age_s:.1f} s' if vehicle.silent else age}"
+    )

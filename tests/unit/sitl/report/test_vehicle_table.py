@@ -1,0 +1,76 @@
+"""What a console shows of the vehicles of a flight, and which of their flags are remarkable."""
+
+from __future__ import annotations
+
+import pytest
+
+from common import with_fields
+from companion.ground.fleet_state import ReportedVehicle
+from companion.types.flight import FlightPhase, HealthFlag
+from companion.wire.messages import StatusReport
+from ground_fleet import STATUS, TIMING
+from sitl.report.vehicle_table import VehicleTable
+
+P, F = FlightPhase, HealthFlag
+
+
+def vehicle(phase: FlightPhase, *flags: HealthFlag, vehicle_id: int = 1, armed: bool = True) -> ReportedVehicle:
+    status = with_fields(STATUS, vehicle_id=vehicle_id, phase=phase, armed=armed)
+    return ReportedVehicle(StatusReport(status, TIMING), 0.1, 0.12, False, flags)
+
+
+def remarks(table: VehicleTable, of: ReportedVehicle, now_s: float) -> list[str]:
+    return [line for line in table.lines([of], now_s) if "!" in line]
+
+
+def test_the_first_seconds_of_an_agent_on_the_ground_are_without_remark() -> None:
+    table, starts = VehicleTable(), vehicle(P.OBSERVE, F.FRAME_UNKNOWN, F.POSITION_STALE, armed=False)
+    assert remarks(table, starts, 10.0) == []
+    assert remarks(table, starts, 14.9) == []
+    assert remarks(table, starts, 15.0) == [
+        "  ! FRAME_UNKNOWN, vehicle 1: the autopilot's origin is unknown",
+        "  ! POSITION_STALE, vehicle 1: position older than allowed",
+    ]
+
+
+@pytest.mark.parametrize("phase", [P.OBSERVE, P.PREPARE, P.FORMATION])
+def test_the_same_flags_in_the_air_or_later_are_remarkable_at_once(phase: FlightPhase) -> None:
+    assert len(remarks(VehicleTable(), vehicle(phase, F.FRAME_UNKNOWN), 10.0)) == 1
+
+
+def test_other_flags_are_remarkable_at_once_when_an_agent_starts() -> None:
+    assert len(remarks(VehicleTable(), vehicle(P.OBSERVE, F.DUPLICATE_ID, armed=False), 10.0)) == 1
+
+
+def test_a_climbing_vehicle_needs_no_leader_and_finds_it_soon_after() -> None:
+    table, holds = VehicleTable(), vehicle(P.HOLD, F.LEADER_LOST)
+    assert remarks(table, vehicle(P.TAKEOFF, F.LEADER_LOST), 10.0) == []
+    assert remarks(table, vehicle(P.TAKEOFF, F.LEADER_LOST), 30.0) == []
+    assert remarks(table, holds, 31.0) == []
+    assert remarks(table, holds, 33.0) == ["  ! LEADER_LOST, vehicle 1: no fresh leader beacon"]
+
+
+def test_a_leader_lost_in_formation_is_remarkable_at_once_also_in_the_hold_after_it() -> None:
+    table = VehicleTable()
+    for phase, now_s in ((P.FORMATION, 10.0), (P.RELEASE, 11.0), (P.HOLD, 12.0)):
+        assert len(remarks(table, vehicle(phase, F.LEADER_LOST), now_s)) == 1
+
+
+def test_a_row_of_the_table_fits_eighty_columns() -> None:
+    vehicles = [vehicle(P.FORMATION, F.LEADER_LOST, vehicle_id=i) for i in (1, 2)]
+    head, first, *_, remark = VehicleTable().lines(vehicles, 10.0)
+    assert max(map(len, (head, first))) <= 80
+    assert first.split()[:3] == ["1", "follower", "formation"]
+    assert remark == "  ! LEADER_LOST, vehicles 1, 2: no fresh leader beacon"
+
+
+def test_a_small_screen_keeps_the_vehicles_with_flags() -> None:
+    vehicles = [vehicle(P.FORMATION, vehicle_id=i) for i in range(1, 30)]
+    vehicles.append(vehicle(P.FORMATION, F.BATTERY_LOW, vehicle_id=30))
+    lines = VehicleTable().lines(vehicles, 10.0, room=10)
+    assert len(lines) == 10
+    assert lines[7].split()[0] == "30"
+    assert lines[8:] == [
+        "  and 23 more vehicles; a taller window shows them",
+        "  ! BATTERY_LOW, vehicle 30: battery below leave_below_percent",
+    ]
