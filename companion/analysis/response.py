@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from companion.core.filter.motion import LAG_S
 from companion.types.autopilot import AutopilotKind
@@ -49,6 +49,13 @@ class AttitudeLoop:
     delay_s: float
     engages_s: float
     motor_lag_s: float = 0.05
+
+
+class VehicleKind(NamedTuple):
+    """What the model knows of a vehicle."""
+
+    autopilot: AutopilotKind
+    drag_1_s: float
 
 
 # As measured for the stand-ins, which have the same figures. Where one of the two is stable with a law, PX4 is the later one.

@@ -6,7 +6,7 @@ What a key means is written once, in the docstring of its section, from which th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from ipaddress import IPv4Address
 from typing import Annotated, Any
@@ -56,6 +56,15 @@ Drag = Annotated[
 
 class Section(Struct, frozen=True, forbid_unknown_fields=True):
     """A section of a file."""
+
+
+def overlaid(common: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """A plain section with own keys in place of the common ones, key by key; what is no section replaces the whole value."""
+    return {**common, **{key: _laid_over(common.get(key), value) for key, value in own.items()}}
+
+
+def _laid_over(common: Any, own: Any) -> Any:
+    return overlaid(common, own) if isinstance(common, Mapping) and isinstance(own, Mapping) else own
 
 
 LOWEST_M, HIGHEST_M = -10_000.0, 10_000.0

@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from companion.analysis.interaction import (
@@ -159,16 +160,25 @@ class Analysis(Struct, frozen=True, kw_only=True):
     unreached: list[int]  # vehicles without a path to a leader
     second_edges: SecondEdges | None  # that make the string gain of the fleet's law smaller
     not_read: list[str]  # sections and keys of the file that are not used
+    kinds: int  # of vehicles, by autopilot and drag
+    like_vehicle: (
+        int | None
+    )  # of several kinds, all figures are of a fleet like this vehicle, with the least delay to spare
 
 
 def analyse(subject: Subject) -> Analysis:
-    """All figures of one subject. A formation that cannot converge is a result, not an error."""
+    """All figures of one subject. A formation that cannot converge is a result, not an error.
+
+    Of several kinds of vehicle they are those of a fleet of one kind: the one with the least delay to spare.
+    """
     fleet = subject.fleet
     ids = sorted(member.id for member in fleet.vehicles)
     leaders = [member.id for member in fleet.vehicles if member.role is Role.LEADER]
     graph = neighbour_graph(fleet.neighbours, _flying_positions(subject))
     unreached = sorted(set(ids) - reached_from(graph, leaders))
     graphs = flown_graphs(graph, graph_in_slots(fleet), leaders)
+    if len(subject.kinds) > 1 and not unreached:
+        subject = _of_least_spare(subject, graphs, leaders)
     names = () if unreached else dict.fromkeys((*LAW_NAMES, fleet.law.name))
     laws = {name: _law_analysis(subject, graphs, leaders, name) for name in names}
     own = law_of(fleet.law)
@@ -199,7 +209,21 @@ def analyse(subject: Subject) -> Analysis:
         unreached=unreached,
         second_edges=_second_edges(subject, graph, leaders) if laws and laws[fleet.law.name].stable else None,
         not_read=list(subject.not_read),
+        kinds=len(subject.kinds),
+        like_vehicle=subject.kinds[subject.kind] if len(subject.kinds) > 1 else None,
     )
+
+
+def _of_least_spare(subject: Subject, graphs: Sequence[Graph], leaders: Collection[int]) -> Subject:
+    """The subject with that kind of vehicle first whose delay margin is least above what it needs."""
+    law, kinds = law_of(subject.fleet.law), subject.kinds
+
+    def spare_s(alike: Subject) -> float:
+        models = [alike.model(link_s) for link_s in links_borne_s(alike.link_s)]
+        couplings = [_couple(alike, graph, leaders, law) for graph in graphs]
+        return least_delay_margin_s(couplings, models) - alike.least_margin_s
+
+    return min((replace(subject, kinds={kind: kinds[kind]} | kinds) for kind in kinds), key=spare_s)
 
 
 def _second_edges(subject: Subject, graph: Graph, leaders: Collection[int]) -> SecondEdges | None:
@@ -321,7 +345,7 @@ def _paths(subject: Subject, coupling: Coupling, start_errors_m: NDArray[np.floa
     for i, (x, y, z) in zip(ids, start_errors_m.tolist(), strict=True):
         offsets_m[i] = (x, y, z if fleet.law.altitude == "formation" else 0.0)
     leader = ids[int(np.flatnonzero(coupling.is_leader)[0])]
-    led = subject.link_s < ATTITUDE_LOOPS[subject.autopilot].engages_s
+    led = subject.link_s < ATTITUDE_LOOPS[subject.kind.autopilot].engages_s
     try:
         found = paths_into_slots(offsets_m, leader, coupling.gains, fleet.slot_speed_m_s, led=led)
     except Refused:
@@ -331,12 +355,12 @@ def _paths(subject: Subject, coupling: Coupling, start_errors_m: NDArray[np.floa
 
 def _couple(subject: Subject, graph: Graph, leaders: Collection[int], law: Law) -> Coupling:
     slots_enu_m = {member.id: member.slot_enu_m for member in subject.fleet.vehicles}
-    return couple(graph, leaders, law, slots_enu_m, subject.drag_1_s)
+    return couple(graph, leaders, law, slots_enu_m, subject.kind.drag_1_s)
 
 
 def _leader_settles_s(subject: Subject, law: Law, start_error_m: float) -> tuple[float | None, float | None]:
     """A leader alone, from this error and from STEP_M."""
-    alone, model = couple({1: []}, {1}, law, drag_1_s=subject.drag_1_s), subject.model(subject.link_s)
+    alone, model = couple({1: []}, {1}, law, drag_1_s=subject.kind.drag_1_s), subject.model(subject.link_s)
     errors_m = errors_over_time(alone, np.array([[1.0]]), model, PREDICT_S)
     return settled_after_s(start_error_m * errors_m, SETTLED_WITHIN_M), settled_after_s(
         STEP_M * errors_m, SETTLED_WITHIN_M

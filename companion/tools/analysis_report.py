@@ -23,6 +23,10 @@ SMALL_DELAY_MARGIN_S = 0.15  # three times the usual loop delay
 WHOLE_UP_TO = 20  # vehicles; a larger matrix does not fit a screen
 A_LINE = 8  # vehicles per line
 COLUMNS = 100
+ONE_KIND = (
+    "{} kinds of vehicles by autopilot and drag: all figures are of a fleet of vehicles like {}, the kind with the least"
+    " delay to spare; nothing is computed of the mixture"
+)
 NO_ADVICE = "no advice on gains: the law has no parameters position_gain_1_s2 and velocity_gain_1_s"
 
 LAG_S = 1.0 / ATTITUDE_LOOPS[AutopilotKind.PX4].tilt_gain_1_s
@@ -50,6 +54,7 @@ def report(analysis: Analysis) -> str:
     lines = [
         f"{analysis.file}: {_vehicles(analysis)}, led by {_ids(analysis.leaders)}, law {analysis.law}",
         *([f"with {', '.join(analysis.settings)}"] if analysis.settings else []),
+        *(wrap(ONE_KIND.format(analysis.kinds, analysis.like_vehicle), COLUMNS) if analysis.kinds > 1 else []),
         "",
     ]
     lines += ["neighbours at the start:"]

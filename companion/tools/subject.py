@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from msgspec import Meta, Struct, structs
+from msgspec import Meta, Struct, field, structs
 
 from companion.analysis.response import (
     AUTOPILOT_STEP_S,
@@ -16,6 +16,7 @@ from companion.analysis.response import (
     USUAL_DRAG_1_S,
     USUAL_LINK_S,
     LinearModel,
+    VehicleKind,
     flown_model,
 )
 from companion.assembly import flyable_problems
@@ -26,6 +27,7 @@ from companion.config.named_files import changed, read_named
 from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
 from companion.config.reference import Reference
 from companion.config.validation import Problem, each, examine, unless_invalid
+from companion.config.values import VehicleId, overlaid
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import ZERO3, Vector3
 
@@ -39,6 +41,7 @@ NOT_READ = {
     "timeline": "timeline",
     "agent_ends": "agent_ends",
 }
+USUAL_KIND = VehicleKind(AutopilotKind.PX4, USUAL_DRAG_1_S)
 STEP_M = 1.0  # step of the reference that is predicted for a fleet file, which has no start positions
 DelaySeconds = Annotated[float, Meta(ge=0, le=1)]
 
@@ -72,6 +75,7 @@ class _OfAirframe(Struct, frozen=True):
 
 class _OfStandIn(Struct, frozen=True):
     autopilot: AutopilotKind = AutopilotKind.PX4
+    vehicles: dict[VehicleId, dict[str, Any]] = {}
 
 
 class _ScenarioPart(PlannedFlight, frozen=True, kw_only=True):
@@ -88,7 +92,10 @@ class _ScenarioPart(PlannedFlight, frozen=True, kw_only=True):
 
 
 class Subject(Struct, frozen=True, kw_only=True):
-    """Input of the analysis: a fleet, its start positions and the position of its reference."""
+    """Input of the analysis: a fleet, its start positions and the position of its reference.
+
+    `kinds`: the kinds of its vehicles, each with the lowest id of one. The analysis is of a fleet of the first.
+    """
 
     file: Path
     fleet: FleetConfig
@@ -98,14 +105,18 @@ class Subject(Struct, frozen=True, kw_only=True):
     link_s: float = USUAL_LINK_S  # between its agents
     pass_on_s: float = USUAL_LINK_S + 0.5 * TICK_S  # and until a motion is known one hop further
     on_board_s: float = ON_BOARD_S
-    autopilot: AutopilotKind = AutopilotKind.PX4
-    drag_1_s: float = USUAL_DRAG_1_S
+    kinds: dict[VehicleKind, int] = field(default_factory=lambda: {USUAL_KIND: 1})
     not_read: Sequence[str] = ()
     settings: Sequence[str] = ()
 
+    @property
+    def kind(self) -> VehicleKind:
+        """That of all vehicles, as they are analysed."""
+        return next(iter(self.kinds))
+
     def model(self, link_s: float) -> LinearModel:
         """The model of its vehicles with this link."""
-        return flown_model(self.autopilot, link_s, self.drag_1_s, self.on_board_s)
+        return flown_model(self.kind.autopilot, link_s, self.kind.drag_1_s, self.on_board_s)
 
     @property
     def least_margin_s(self) -> float:
@@ -136,7 +147,7 @@ def subject_of(path: Path, data: Any) -> Subject:
         reference_enu_m, not_read = _a_step(fleet), _not_read(data, fleet, "")
         return Subject(file=path, fleet=fleet, starts_enu_m=starts, reference_enu_m=reference_enu_m, not_read=not_read)
     part = convert(path, data, _ScenarioPart, _problems)
-    fleet, (links, stand_in, airframe) = fleet_of(part.fleet), _parts(part)[0]
+    fleet, links = fleet_of(part.fleet), _read(part.links, _OfLinks, "links")[0]
     return Subject(
         file=path,
         fleet=fleet,
@@ -146,26 +157,38 @@ def subject_of(path: Path, data: Any) -> Subject:
         link_s=links.link_s,
         pass_on_s=links.pass_on_s,
         on_board_s=links.on_board_s,
-        autopilot=stand_in.autopilot,
-        drag_1_s=airframe.drag_n_per_m_s / airframe.mass_kg,
+        kinds=_kinds(part, fleet),
         not_read=_not_read(data, fleet, "fleet."),
     )
 
 
-def _parts(part: _ScenarioPart) -> tuple[tuple[_OfLinks, _OfStandIn, _OfAirframe], list[Problem]]:
-    """What is read of links, stand-ins and their airframe, and what is wrong with it."""
-    links, of_links = _read(part.links, _OfLinks, "links")
-    stand_in, of_stand_in = _read(part.stand_in, _OfStandIn, "stand_in")
-    of_vehicle = part.stand_in.get("airframe") if isinstance(part.stand_in, dict) else None
-    airframe, of_airframe = _read(of_vehicle, _OfAirframe, "stand_in.airframe")
-    return (links, stand_in, airframe), [*of_links, *of_stand_in, *of_airframe]
+def _kinds(part: _ScenarioPart, fleet: FleetConfig) -> dict[VehicleKind, int]:
+    """What its checked stand-ins are like, each with the lowest id of one."""
+    own = _read(part.stand_in, _OfStandIn, "")[0].vehicles
+    kinds: dict[VehicleKind, int] = {}
+    for vehicle_id in sorted(member.id for member in fleet.vehicles):
+        section = overlaid(part.stand_in or {}, own.get(vehicle_id, {}))
+        autopilot = _read(section, _OfStandIn, "")[0].autopilot
+        airframe = _read(section.get("airframe"), _OfAirframe, "")[0]
+        kinds.setdefault(VehicleKind(autopilot, airframe.drag_n_per_m_s / airframe.mass_kg), vehicle_id)
+    return kinds
 
 
-def _read(section: Any, type_: type[Struct], field: str) -> tuple[Any, list[Problem]]:
+def _stand_in_problems(section: Any, where: str) -> Iterator[Problem]:
+    """What is wrong with what is read of the stand-ins, or of one."""
+    stand_in, problems = _read(section, _OfStandIn, where)
+    yield from problems
+    if isinstance(section, dict):
+        yield from _read(section.get("airframe"), _OfAirframe, f"{where}.airframe")[1]
+    for vehicle_id, own in stand_in.vehicles.items():
+        yield from _stand_in_problems(own, f"{where}.vehicles.{vehicle_id}")
+
+
+def _read(section: Any, type_: type[Struct], where: str) -> tuple[Any, list[Problem]]:
     """The keys of this type; other keys belong to the flight. Its defaults where there is no section."""
     if isinstance(section, dict):
         section = {key: value for key, value in section.items() if key in type_.__struct_fields__}
-    return examine({} if section is None else section, type_, field)
+    return examine({} if section is None else section, type_, where)
 
 
 def _starts(part: _ScenarioPart, fleet: FleetConfig) -> Mapping[int, Vector3]:
@@ -173,7 +196,8 @@ def _starts(part: _ScenarioPart, fleet: FleetConfig) -> Mapping[int, Vector3]:
 
 
 def _problems(part: _ScenarioPart) -> Iterator[Problem]:
-    yield from _parts(part)[1]
+    yield from _read(part.links, _OfLinks, "links")[1]
+    yield from each(_stand_in_problems(part.stand_in, "stand_in"))
     fleet = fleet_of(part.fleet)
     yield from planned_problems(part, fleet, unless_invalid(lambda: _starts(part, fleet)))
     if part.reference:

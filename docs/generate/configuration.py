@@ -165,6 +165,8 @@ def _value(type_: Any) -> Value:
         return Value([_choices(map(str, arguments))])
     if type_ == PositionM:
         return Value(["[x, y, z]"], _value(arguments[0]).bounds)
+    if type_ == dict[str, Any]:
+        return Value(["some of these keys"])
     if origin in (tuple, list):
         return _list([_value(part) for part in arguments if part is not Ellipsis], Ellipsis in arguments)
     if origin is dict:

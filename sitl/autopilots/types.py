@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -47,15 +47,15 @@ def _loaded(path: Path | None, vehicle_id: int | None, autopilot: AutopilotKind 
         file = msgspec.structs.replace(file, id=vehicle_id)
     if autopilot is not None:
         file = msgspec.structs.replace(file, stand_in=msgspec.structs.replace(file.stand_in, autopilot=autopilot))
-    refuse(path or "", parameter_problems(file.stand_in))
+    refuse(path or "", parameter_problems(file.stand_in.autopilot, file.stand_in.parameters))
     return file
 
 
-def parameter_problems(stand_in: StandIn) -> Iterator[Problem]:
-    """Every overridden parameter must exist in this autopilot."""
-    known = AUTOPILOT_TYPES[stand_in.autopilot].data.parameters
-    for name in stand_in.parameters:
+def parameter_problems(kind: AutopilotKind, names: Iterable[str], where: str = "stand_in") -> Iterator[Problem]:
+    """Every overridden parameter must exist in this autopilot. `where`: the section of the stand-in."""
+    known = AUTOPILOT_TYPES[kind].data.parameters
+    for name in names:
         if name not in known:
             hint = did_you_mean(name, known) or "; take it out"
-            problem = f"the stand-in ({stand_in.autopilot}) has no such parameter{hint}"
-            yield Problem(f"stand_in.parameters.{name}", problem)
+            problem = f"the stand-in ({kind}) has no such parameter{hint}"
+            yield Problem(f"{where}.parameters.{name}", problem)

@@ -83,6 +83,7 @@ NOT_MODELLED = dict.fromkeys(
         "stand_in.failsafes",
         "stand_in.homes",
         "stand_in.rally_points",
+        "stand_in.vehicles",
     ),
     "sitl run or sitl fly",
 ) | dict.fromkeys(("agent_ends", "links.partitions", "links.late_telemetry", "links.false_positions"), "sitl run")

@@ -173,8 +173,8 @@ class Singles:
         vehicle = VehicleState((x, y, z), (vx, vy, vz), now_s)
         only_core = {barrier.other.key for barrier in near if barrier.constraint[3] == inf}
         if by_core := single.close | only_core:
-            of, slot = single.separation.barriers, self._slots[column]
-            near = [of(ahead, error, slot, [b.other])[0] if b.other.key in by_core else b for b in near]
+            of, slot = single.separation.barrier, self._slots[column]
+            near = [of(ahead, error, slot, b.other) if b.other.key in by_core else b for b in near]
             single.close = only_core
         wanted = (ux, uy, uz)
         slowed, speed = single.bounds.limit_speed(ahead, wanted)

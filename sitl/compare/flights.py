@@ -189,10 +189,10 @@ def fly_by_agents(flight: CellFlight, seconds: float) -> Figures:
 
 def _of_agents(flown: Flown, scenario: Scenario, times_s: FloatArray, reference_enu_m: FloatArray) -> FlownFormation:
     stand_ins = sorted(flown.stand_ins, key=lambda stand_in: stand_in.vehicle_id)
-    hover_norm = hover_thrust_norm(scenario.stand_in)
     commanded = []
     for stand_in in stand_ins:
         roll, pitch, _, thrust = np.nan_to_num(stand_in.setpoints()).T
+        hover_norm = hover_thrust_norm(scenario.stand_in_of(stand_in.vehicle_id))
         sizes = commanded_m_s2(roll, pitch, thrust / hover_norm)
         commanded.append(np.interp(times_s, stand_in.track().time_s, sizes))
     slots = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}

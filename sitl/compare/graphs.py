@@ -31,8 +31,7 @@ from sitl.compare.shapes import (
     star,
 )
 from sitl.flight.scenario import Scenario, TimelineStep
-from sitl.vehicle.config import Airframe
-from sitl.vehicle.config import StandIn as StandInConfig
+from sitl.vehicle.config import Airframe, StandIns
 
 STEP_M = 1.0
 HEIGHT_M = 2.0
@@ -103,7 +102,7 @@ def _scenario(
         ),
         starts_enu_m=starts_enu_m,
         reference=PointReference(point_enu_m=goal_enu_m),
-        stand_in=StandInConfig(sensors="ideal", seed=seed, airframe=Airframe(drag_n_per_m_s=0.0)),
+        stand_in=StandIns(sensors="ideal", seed=seed, airframe=Airframe(drag_n_per_m_s=0.0)),
         timeline=(
             TimelineStep(command=CommandName.PREPARE),
             TimelineStep(command=CommandName.ARM),

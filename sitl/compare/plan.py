@@ -30,6 +30,7 @@ from sitl.compare.options import (
     CompareOptions,
 )
 from sitl.compare.vary import axes_of, changed, checked
+from sitl.flight.files import ids_of
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.vehicle.config import Sensors
 
@@ -211,15 +212,15 @@ def _planned(cell: Cell, seed: int, scenario: Scenario, condition: Condition) ->
 
 def _repeats(scenario: Scenario) -> bool:
     """Whether nothing in it is random."""
-    stand_in, links = scenario.stand_in, scenario.links
-    is_quiet = stand_in.sensor_model() == Sensors() and stand_in.wind.gust_sd_m_s == 0.0
-    return is_quiet and not (links.peer_loss or links.peer_jitter_s or links.peer_duplicates)
+    exact, links = all(scenario.stand_in_of(i).sensor_model() == Sensors() for i in ids_of(scenario)), scenario.links
+    random = (scenario.stand_in.wind.gust_sd_m_s, links.peer_loss, links.peer_jitter_s, links.peer_duplicates)
+    return exact and not any(random)
 
 
 def _in_a_batch(scenario: Scenario) -> bool:
-    """Whether a batch can fly it: PX4's attitude loops, no targets, fixed slots."""
-    is_px4 = scenario.stand_in.autopilot is AutopilotKind.PX4
-    return is_px4 and not isinstance(scenario.reference, TargetReference) and not scenario.fleet.slots_turn
+    """Whether a batch can fly it: PX4's attitude loops, vehicles that are alike, no targets, fixed slots."""
+    all_px4 = scenario.stand_in.autopilot is AutopilotKind.PX4 and not scenario.stand_in.vehicles
+    return all_px4 and not isinstance(scenario.reference, TargetReference) and not scenario.fleet.slots_turn
 
 
 def _to_check(flights: Sequence[CellFlight], count: int) -> list[CellFlight]:

@@ -21,13 +21,18 @@ from sitl.flight.external import ReachedVehicle
 from sitl.flight.scenario import Scenario
 from sitl.links.emulated_network import NetworkFile, emulated_host
 from sitl.links.ports import LOOPBACK, ports_of, states_group, zenoh_endpoint
-from sitl.vehicle.config import AutopilotFile, Links
+from sitl.vehicle.config import AutopilotFile, Links, StandIn
 
 ARMABLE_IN_SCENARIOS_S = 4.0
 
 
 def ids_of(scenario: Scenario) -> list[VehicleId]:
     return sorted(member.id for member in scenario.fleet.vehicles)
+
+
+def autopilots_of(scenario: Scenario) -> dict[int, AutopilotKind]:
+    """The autopilot of every stand-in, by id."""
+    return {i: scenario.stand_in_of(i).autopilot for i in ids_of(scenario)}
 
 
 def autopilot_path(folder: Path, vehicle_id: int) -> Path:
@@ -76,26 +81,27 @@ def write_scenario(scenario: Scenario, folder: Path) -> None:
 
 def reached_stand_in(scenario: Scenario, vehicle_id: int, port_offset: int) -> ReachedVehicle:
     """Endpoint, hover thrust and drag of a scenario's stand-in."""
-    kind, ports = scenario.stand_in.autopilot, ports_of(vehicle_id, port_offset)
+    stand_in, ports = scenario.stand_in_of(vehicle_id), ports_of(vehicle_id, port_offset)
     endpoints = {  # the defaults of the autopilots' own simulations
         AutopilotKind.PX4: f"udpin:{LOOPBACK}:{ports.companion}",
         AutopilotKind.ARDUPILOT: f"tcp:{LOOPBACK}:{ports.tcp}",
     }
     return ReachedVehicle(
         id=vehicle_id,
-        mavlink=endpoints[kind],
-        hover_thrust_norm=hover_thrust_norm(scenario.stand_in),
-        drag_1_s=_drag_1_s(scenario),
+        mavlink=endpoints[stand_in.autopilot],
+        hover_thrust_norm=hover_thrust_norm(stand_in),
+        drag_1_s=drag_1_s(stand_in),
     )
 
 
 def known_drag_1_s(scenario: Scenario) -> float:
-    """The drag in the vehicle files of a scenario that flies stand-ins."""
-    return known_or(scenario.assumed.drag_1_s, _drag_1_s(scenario))
+    """The drag in the vehicle files of a scenario whose stand-ins are alike."""
+    return known_or(scenario.assumed.drag_1_s, drag_1_s(scenario.stand_in))
 
 
-def _drag_1_s(scenario: Scenario) -> float:
-    airframe = scenario.stand_in.airframe
+def drag_1_s(stand_in: StandIn) -> float:
+    """What an agent may know of the drag of its vehicle."""
+    airframe = stand_in.airframe
     return min(airframe.drag_n_per_m_s / airframe.mass_kg, MAX_DRAG_1_S)
 
 
@@ -160,7 +166,8 @@ def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
     """
     origin = scenario.fleet.origin
     assert isinstance(origin, GeodeticOrigin)  # scenario_from accepts no other
-    stand_in, data = scenario.stand_in, AUTOPILOT_TYPES[scenario.stand_in.autopilot].data
+    stand_in = scenario.stand_in_of(vehicle_id)
+    data = AUTOPILOT_TYPES[stand_in.autopilot].data
     hover_norm = scenario.assumed.hover_thrust_norm
     assumed = {} if hover_norm is None else {PROFILES[stand_in.autopilot].hover_parameter: hover_norm}
     ready_s = ARMABLE_IN_SCENARIOS_S if stand_in.armable_after_s is None else stand_in.armable_after_s

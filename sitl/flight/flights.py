@@ -20,12 +20,14 @@ from companion.analysis.response import (
     AUTOPILOT_STEP_S,
     SPARE_S,
     LinearModel,
+    VehicleKind,
     flown_graphs,
     flown_model,
     links_borne_s,
     reached_from,
 )
 from companion.config.file import ConfigError
+from companion.config.fleet import FormationMember
 from companion.config.law import LawName, law_of
 from companion.config.planned_flight import graph_in_slots, neighbour_graph
 from companion.config.reference import TargetReference
@@ -35,7 +37,7 @@ from companion.types.commands import CommandName
 from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from companion.types.flight import Role
 from companion.types.notices import Code, Notice
-from sitl.flight.files import truth_path, write_scenario
+from sitl.flight.files import ids_of, truth_path, write_scenario
 from sitl.flight.scenario import Scenario, load_scenario, reference_of, with_law
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.flight.watch import FlightWatch
@@ -56,6 +58,7 @@ from sitl.report.metrics import (
 from sitl.report.progress import FlightProgress
 from sitl.report.summary import RunSummary, TickFigures, VehicleSummary, in_words, write_json
 from sitl.stopping import StopRequest
+from sitl.vehicle.config import StandIn
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +86,10 @@ class DivergesError(UnusableError):
 
 
 def check_convergence(scenario: Scenario) -> list[Notice]:
-    """Warnings about the formation under the scenario's law. Raises DivergesError for one that cannot converge."""
+    """Warnings about the formation under the scenario's law. Raises DivergesError for one that cannot converge.
+
+    Of several kinds of vehicle each is checked as a fleet of its own; what is said is of the one with the least to spare.
+    """
     fleet, law = scenario.fleet, law_of(scenario.fleet.law)
     height_m = fleet.takeoff_height_m
     graph = neighbour_graph(
@@ -95,25 +101,42 @@ def check_convergence(scenario: Scenario) -> list[Notice]:
         text = f"no path leads from a leader to vehicle {ids}; add an edge, more range, or a leader among them"
         raise _diverges(Notice(Code.NO_PATH_TO_LEADER, text))
     link_s = scenario.links.peer_delay_s + 0.5 * scenario.links.peer_jitter_s
-    models = [_model(scenario, borne_s) for borne_s in links_borne_s(link_s)]
-    slots, drag_1_s = {member.id: member.slot_enu_m for member in fleet.vehicles}, models[0].drag_1_s
+    slots = {member.id: member.slot_enu_m for member in fleet.vehicles}
     graphs = flown_graphs(graph, graph_in_slots(fleet), leaders)
-    couplings = [couple(each, leaders, law, slots, drag_1_s) for each in graphs]
-    margin_s, least_s = least_delay_margin_s(couplings, models), models[0].delay_s + SPARE_S
+
+    def of_kind(kind: VehicleKind) -> tuple[float, float, Coupling, VehicleKind]:
+        models = [_model(scenario, kind, borne_s) for borne_s in links_borne_s(link_s)]
+        couplings = [couple(each, leaders, law, slots, kind.drag_1_s) for each in graphs]
+        return least_delay_margin_s(couplings, models), models[0].delay_s + SPARE_S, couplings[0], kind
+
+    kinds = kinds_of(scenario)
+    margin_s, least_s, coupling, kind = min(map(of_kind, kinds), key=lambda found: found[0] - found[1])
     if margin_s <= least_s:
+        alike = f" in a fleet of vehicles like {kinds[kind]}" if len(kinds) > 1 else ""
         text = (
             f"{fleet.law.name} is unstable from a loop delay of {margin_s:.3f} s on with links of"
-            f" {max(links_borne_s(link_s)):g} s, and must be stable with {least_s:.3f} s; change the gains or the law"
+            f" {max(links_borne_s(link_s)):g} s{alike}, and must be stable with {least_s:.3f} s;"
+            " change the gains or the law"
         )
         raise _diverges(Notice(Code.FORMATION_UNSTABLE, text))
-    return _warnings(couplings[0], margin_s, _model(scenario, link_s))
+    return _warnings(coupling, margin_s, _model(scenario, kind, link_s))
 
 
-def _model(scenario: Scenario, link_s: float) -> LinearModel:
-    """The model of the scenario's vehicles with this link."""
-    links, airframe = scenario.links, scenario.stand_in.airframe
-    on_board_s = AUTOPILOT_STEP_S + links.telemetry_delay_s + links.setpoint_delay_s
-    return flown_model(scenario.stand_in.autopilot, link_s, airframe.drag_n_per_m_s / airframe.mass_kg, on_board_s)
+def kinds_of(scenario: Scenario) -> dict[VehicleKind, int]:
+    """The kinds of vehicles in it, each with the lowest id."""
+    kinds: dict[VehicleKind, int] = {}
+    for vehicle_id in ids_of(scenario):
+        stand_in = scenario.stand_in_of(vehicle_id)
+        airframe = stand_in.airframe
+        kind = VehicleKind(stand_in.autopilot, airframe.drag_n_per_m_s / airframe.mass_kg)
+        kinds.setdefault(kind, vehicle_id)
+    return kinds
+
+
+def _model(scenario: Scenario, kind: VehicleKind, link_s: float) -> LinearModel:
+    """The model of a fleet of such vehicles with this link."""
+    on_board_s = AUTOPILOT_STEP_S + scenario.links.telemetry_delay_s + scenario.links.setpoint_delay_s
+    return flown_model(kind.autopilot, link_s, kind.drag_1_s, on_board_s)
 
 
 def _diverges(notice: Notice) -> DivergesError:
@@ -209,14 +232,15 @@ def summarize(
     tracked = (
         tracking(flight.tracks, flight.slots, flight.reference, flight.formation, watch.leads()) if flight else None
     )
-    sensors = stand_in.sensors if isinstance(stand_in.sensors, str) else "as given"
+    own = {i: scenario.stand_in_of(i) for i in ids_of(scenario)}
+    sensors = {sensors_in_words(one) for one in own.values()}
     slots_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles}
     return RunSummary(
         scenario=name,
         law=fleet.law.name,
         law_parameters=fleet.law.parameters,
         tracks=end.source,
-        sensors=sensors if is_true else None,
+        sensors=(" and ".join(sorted(sensors))) if is_true else None,
         seed=stand_in.seed if is_true else None,
         failure=end.failure,
         flight_s=round(end.flight_s, 1),
@@ -226,7 +250,7 @@ def summarize(
         overload=watch.overload(),
         smallest_distance_m=_rounded(smallest_m),
         vehicles=[
-            _vehicle(member.id, member.role, watch, figures, tracked)
+            _vehicle(member, own[member.id] if is_true else None, watch, figures, tracked)
             for member in sorted(fleet.vehicles, key=lambda member: member.id)
         ],
         commands=watch.commands,
@@ -234,13 +258,25 @@ def summarize(
     )
 
 
+def sensors_in_words(stand_in: StandIn) -> str:
+    """The name, where they have one."""
+    return stand_in.sensors if isinstance(stand_in.sensors, str) else "as given"
+
+
 def _vehicle(
-    vehicle_id: int, role: str, watch: FlightWatch, figures: FormationFigures | None, tracked: Tracking | None
+    member: FormationMember,
+    stand_in: StandIn | None,
+    watch: FlightWatch,
+    figures: FormationFigures | None,
+    tracked: Tracking | None,
 ) -> VehicleSummary:
+    vehicle_id = member.id
     timing, status = watch.timing.get(vehicle_id), watch.status(vehicle_id)
     return VehicleSummary(
         id=vehicle_id,
-        role=role,
+        role=member.role,
+        autopilot=stand_in.autopilot if stand_in else None,
+        sensors=sensors_in_words(stand_in) if stand_in else None,
         tick=TickFigures(rate_hz=timing.rate_hz, ticks=timing.ticks, missed=timing.missed, late_us=timing.late_us)
         if timing
         else None,

@@ -17,7 +17,7 @@ from companion.types.commands import CommandName
 from companion.types.errors import EXIT_DONE, EXIT_FAILED
 from sitl.flight.director import Director
 from sitl.flight.external import ReachedVehicle, Readiness, load_external, vehicles_of
-from sitl.flight.files import estimated_path, ids_of, truth_path
+from sitl.flight.files import autopilots_of, estimated_path, ids_of, truth_path
 from sitl.flight.flights import FlightEnd, FlightOptions, FlightOrder, FlightResult, FlyOnce, run_flights, write_results
 from sitl.flight.orders import REPLY_WITHIN_S, FlightFailure
 from sitl.flight.processes import FleetProcesses, publish_targets
@@ -53,8 +53,8 @@ def run_fly(options: FlightOptions) -> int:
         if scenario.agent_ends:
             raise ConfigError(options.scenario, "agent_ends", "ends agents in virtual time only; use sitl run")
         external = _external(options, scenario)
-        kind = scenario.stand_in.autopilot if external is None else None
-        with reserved_ports(ids_of(scenario), kind, options.port_offset) as offset:
+        autopilots = autopilots_of(scenario) if external is None else dict.fromkeys(ids_of(scenario))
+        with reserved_ports(autopilots, options.port_offset) as offset:
             if offset and not options.quiet:
                 endpoints = " ".join(zenoh_endpoint(i, offset) for i in ids_of(scenario))
                 print(f"all ports are offset by {offset}: companion monitor --connect {endpoints}", flush=True)
@@ -151,7 +151,7 @@ def run_fleet(options: FlightOptions) -> int:
     scenario = load_scenario(options.scenario, options.overrides)
     stem = f"fleet-{options.scenario.stem}"
     with (
-        reserved_ports(ids_of(scenario), scenario.stand_in.autopilot, options.port_offset) as offset,
+        reserved_ports(autopilots_of(scenario), options.port_offset) as offset,
         open_folder(options.out, stem) as folder,
         StopRequest("stopped at once; the vehicles were not landed") as stop,
     ):

@@ -7,7 +7,7 @@ from itertools import pairwise
 from math import inf
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from msgspec import Meta, field
 from msgspec.structs import replace
@@ -28,13 +28,13 @@ from companion.config.planned_flight import (
     starts_of,
 )
 from companion.config.reference import KnownReference, Reference, command_problems
-from companion.config.validation import Problem, each, unless_invalid
+from companion.config.validation import Problem, each, examine, unless_invalid
 from companion.config.values import Drag, HoverThrust, Name, PositionM, Section, VehicleId
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.commands import CommandName
 from sitl.autopilots.types import parameter_problems
 from sitl.flight.shipped import scenario_file
-from sitl.vehicle.config import Links, StandIn
+from sitl.vehicle.config import Links, OwnStandIn, StandIn, StandIns
 
 OPERATORS_ONLY = (CommandName.TAKE, CommandName.ABORT)  # they lead to no phase that could be waited for
 TO_ALL = (CommandName.LEAD, CommandName.FORMATION, CommandName.REFERENCE)  # they concern the whole fleet
@@ -240,7 +240,7 @@ class ScenarioFile(PlannedFlight, frozen=True, kw_only=True):
 
     origins_enu_m: dict[VehicleId, PositionM] = field(default_factory=dict)
     reference: Reference
-    stand_in: StandIn = StandIn()
+    stand_in: StandIns = StandIns()
     assumed: Assumed = Assumed()
     targets: tuple[MovingTarget, ...] = ()
     links: Links = Links()
@@ -256,12 +256,16 @@ class Scenario(Section, frozen=True, kw_only=True):
     starts_enu_m: Mapping[VehicleId, PositionM]
     origins_enu_m: dict[VehicleId, PositionM] = field(default_factory=dict)
     reference: Reference
-    stand_in: StandIn = StandIn()
+    stand_in: StandIns = StandIns()
     assumed: Assumed = Assumed()
     targets: tuple[MovingTarget, ...] = ()
     links: Links = Links()
     agent_ends: tuple[AgentEnd, ...] = ()
     timeline: tuple[TimelineStep, ...]
+
+    def stand_in_of(self, vehicle_id: int) -> StandIn:
+        """The stand-in of one vehicle: what all have, with its own keys. `stand_in` alone holds for seed and wind only."""
+        return self.stand_in.of(vehicle_id)
 
 
 def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
@@ -308,7 +312,7 @@ def _problems(file: ScenarioFile) -> Iterator[Problem]:
     yield from each(
         _origin(scenario),
         _vehicles_named(scenario),
-        parameter_problems(scenario.stand_in),
+        _stand_ins(scenario),
         flyable_problems(scenario.fleet, scenario.reference),
         _transport(scenario),
         _target_names(scenario),
@@ -328,6 +332,23 @@ def _transport(scenario: Scenario) -> Iterator[Problem]:
         yield Problem(
             "links.peer_transport", "tcp, but fleet.multicast sends states as datagrams; take one of them out"
         )
+
+
+def _stand_ins(scenario: Scenario) -> Iterator[Problem]:
+    common = scenario.stand_in
+    yield from each(
+        parameter_problems(common.autopilot, common.parameters),
+        *(_own_keys(common, own, f"stand_in.vehicles.{i}") for i, own in common.vehicles.items()),
+    )
+
+
+def _own_keys(common: StandIns, own: dict[str, Any], where: str) -> Iterator[Problem]:
+    """Those of a single vehicle are checked as those of the whole fleet."""
+    checked, problems = examine(own, OwnStandIn, where)
+    yield from problems
+    if not problems:
+        kind = checked.autopilot if "autopilot" in own else common.autopilot
+        yield from parameter_problems(kind, checked.parameters, where)
 
 
 def _target_names(scenario: Scenario) -> Iterator[Problem]:
@@ -365,6 +386,10 @@ BY_VEHICLE = (
 def _vehicles_named(scenario: Scenario) -> Iterator[Problem]:
     """Own origins, estimator resets, pilots and all else by vehicle must be those of vehicles of the fleet."""
     named = [(vehicle_id, f"origins_enu_m.{vehicle_id}") for vehicle_id in sorted(scenario.origins_enu_m)]
+    named += [
+        (vehicle_id, f"stand_in.vehicles.{vehicle_id}")
+        for vehicle_id in unless_invalid(lambda: [*scenario.stand_in.vehicles])
+    ]
     for key in BY_VEHICLE:
         named += [(item.vehicle, f"{key}[{index}].vehicle") for index, item in enumerate(attrgetter(key)(scenario))]
     for index, partition in enumerate(scenario.links.partitions):

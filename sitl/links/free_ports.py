@@ -6,7 +6,7 @@ import fcntl
 import os
 import socket
 import tempfile
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
@@ -26,23 +26,21 @@ class PortInUseError(UnusableError):
 
 
 @contextmanager
-def reserved_ports(vehicle_ids: Collection[int], kind: AutopilotKind | None, offset: int | None) -> Iterator[int]:
-    """Reserve the ports of these agents and their stand-ins until the block ends; yields the port offset.
+def reserved_ports(autopilots: Mapping[int, AutopilotKind | None], offset: int | None) -> Iterator[int]:
+    """Reserve the ports of agents and their stand-ins until the block ends; yields the port offset.
 
-    Without `kind` only the agents' ports are reserved: the autopilots are external. Without `offset` the first of
+    `autopilots`: by id. Of None, an external autopilot, only the agent's ports are reserved. Without `offset` the first of
     OFFSETS is taken with which all ports are free. Raises PortInUseError.
     """
     with _lock_file().open("r+b") as file:  # closing it releases the locks, as the end of the process does
-        yield _first_free_offset(vehicle_ids, kind, OFFSETS if offset is None else (offset,), file)
+        yield _first_free_offset(autopilots, OFFSETS if offset is None else (offset,), file)
 
 
-def _first_free_offset(
-    vehicle_ids: Collection[int], kind: AutopilotKind | None, offsets: Iterable[int], file: BinaryIO
-) -> int:
+def _first_free_offset(autopilots: Mapping[int, AutopilotKind | None], offsets: Iterable[int], file: BinaryIO) -> int:
     first_error: PortInUseError | None = None
     for offset in offsets:
         try:
-            ports = [port for i in vehicle_ids for port in _ports_of_vehicle(i, kind, offset)]
+            ports = [port for i, kind in autopilots.items() for port in _ports_of_vehicle(i, kind, offset)]
             _check(ports, offset)
             _lock(ports, offset, file)
         except PortInUseError as error:

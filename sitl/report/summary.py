@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
+from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Code
@@ -31,11 +32,13 @@ class TickFigures(Struct, frozen=True, kw_only=True):
 class VehicleSummary(Struct, frozen=True, kw_only=True):
     """Figures of one vehicle, from its agent's status reports and its track.
 
-    Timing is None without a report in formation, and in virtual time.
+    Timing is None without a report in formation, and in virtual time; `autopilot` and `sensors` without a stand-in.
     """
 
     id: int
     role: str
+    autopilot: AutopilotKind | None = None
+    sensors: str | None = None
     tick: TickFigures | None
     telemetry_to_command_us: Percentiles | None
     cpu_percent: float | None
@@ -99,7 +102,7 @@ def in_words(summary: RunSummary) -> str:
     head = f"{summary.scenario}, {summary.law}: " + (summary.failure or f"flown and landed in {summary.flight_s:.0f} s")
     if summary.max_distance_m is None or summary.wanted_distance_m is None:
         return "\n".join([head, *_overload_lines(summary)])
-    lines = [head, f"  formation         {summary.duration_s:.1f} s"]
+    lines = [head, f"  formation         {summary.duration_s:.1f} s", *_autopilots(summary)]
     if summary.tracks == "estimated":
         lines.append("  positions         as estimated by the vehicles; their true errors are unknown")
     pairs = summary.pairs
@@ -118,6 +121,15 @@ def in_words(summary: RunSummary) -> str:
     if summary.real_time_factor is not None:
         lines.append(f"  virtual time      {summary.real_time_factor:.0f} times as fast as real time")
     return "\n".join(lines)
+
+
+def _autopilots(summary: RunSummary) -> list[str]:
+    """Named where they differ."""
+    ids: dict[str, list[int]] = {}
+    for vehicle in summary.vehicles:
+        ids.setdefault(str(vehicle.autopilot), []).append(vehicle.id)
+    named = "   ".join(f"{name} {', '.join(map(str, own))}" for name, own in ids.items())
+    return [f"  autopilots        {named}"] if len(ids) > 1 else []
 
 
 def _settled(summary: RunSummary) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from msgspec import Meta, field
+from msgspec import Meta, convert, field, to_builtins
 
 from companion.config.fleet import GeodeticOrigin
 from companion.config.planned_flight import DEFAULT_ORIGIN
-from companion.config.values import PositionM, Section, VehicleId, about
+from companion.config.values import PositionM, Section, VehicleId, about, overlaid
 from companion.geometry.vectors import scaled
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import ZERO3, Vector3
@@ -193,23 +193,14 @@ class ModeRefusal(Section, frozen=True):
     modes: Annotated[tuple[str, ...], Meta(min_length=1)]
 
 
-class StandIn(Section, frozen=True):
-    """The simulated vehicles of a scenario, and the wind.
+class OwnStandIn(Section, frozen=True):
+    """What may differ from vehicle to vehicle.
 
-    autopilot: the autopilot whose behaviour they simulate
+    autopilot: the autopilot whose behaviour is simulated
     armable_after_s: time from the start until arming is accepted; without a value as measured: PX4 4 s, ArduCopter 42 s
-    sensors: `ideal`: no errors; `default`: a good estimator; `px4_sih`: PX4's SIH with stock EKF2 parameters;
-        `ardupilot_sitl`: ArduCopter's SITL
-    seed: seed of all random errors
-    estimator_resets: steps in position estimates
-    batteries: battery charges; without any, they are full
-    pilots: vehicles that a pilot takes over
-    refusals: mode changes that autopilots refuse from then on
-    position_losses: vehicles that lose GPS or vision
-    failsafes: failsafes that autopilots report, and only warn
-    clock_slow_percent: how much slower the autopilots' clocks run than this computer's: PX4's 1 to 2 %
-    homes: homes that a ground station sets
-    rally_points: rally points of autopilots
+    sensors: errors of the estimate. `ideal`: none; `default`: a good estimator; `px4_sih`: PX4's SIH with stock EKF2
+        parameters; `ardupilot_sitl`: ArduCopter's SITL
+    clock_slow_percent: how much slower the autopilot's clock runs than this computer's: PX4's 1 to 2 %
     parameters: autopilot parameters by name, for those that the stand-in has
     """
 
@@ -217,6 +208,28 @@ class StandIn(Section, frozen=True):
     armable_after_s: Annotated[float, Meta(ge=0, le=600)] | None = None
     airframe: Airframe = Airframe()
     sensors: Literal["ideal", "default", "px4_sih", "ardupilot_sitl"] | Sensors = "default"
+    clock_slow_percent: Annotated[float, Meta(ge=-5, le=5)] = 0.0
+    parameters: dict[str, float] = field(default_factory=dict)
+
+    def sensor_model(self) -> Sensors:
+        """The sensors by name, or as given."""
+        return SENSORS[self.sensors] if isinstance(self.sensors, str) else self.sensors
+
+
+class StandIn(OwnStandIn, frozen=True):
+    """A simulated vehicle, and the wind.
+
+    seed: seed of all random errors
+    estimator_resets: steps in position estimates
+    batteries: battery charges; without any, they are full
+    pilots: vehicles that a pilot takes over
+    refusals: mode changes that autopilots refuse from then on
+    position_losses: vehicles that lose GPS or vision
+    failsafes: failsafes that autopilots report, and only warn
+    homes: homes that a ground station sets
+    rally_points: rally points of autopilots
+    """
+
     wind: Wind = Wind()
     seed: Annotated[int, Meta(ge=0)] = 1
     estimator_resets: tuple[EstimatorReset, ...] = ()
@@ -225,14 +238,29 @@ class StandIn(Section, frozen=True):
     refusals: tuple[ModeRefusal, ...] = ()
     position_losses: tuple[PositionLoss, ...] = ()
     failsafes: tuple[ReportedFailsafe, ...] = ()
-    clock_slow_percent: Annotated[float, Meta(ge=-5, le=5)] = 0.0
     homes: tuple[HomeSet, ...] = ()
     rally_points: tuple[RallyPoint, ...] = ()
-    parameters: dict[str, float] = field(default_factory=dict)
 
-    def sensor_model(self) -> Sensors:
-        """The sensors by name, or as given."""
-        return SENSORS[self.sensors] if isinstance(self.sensors, str) else self.sensors
+
+class StandIns(StandIn, frozen=True):
+    """The simulated vehicles of a scenario, and the wind.
+
+    vehicles: by id, the keys in which single vehicles differ: autopilot, armable_after_s, airframe, sensors,
+        clock_slow_percent, parameters. All others are as for the whole fleet; parameters only of the same autopilot
+    """
+
+    vehicles: dict[VehicleId, dict[str, Any]] = field(default_factory=dict)  # as written: only what differs
+
+    def of(self, vehicle_id: int) -> StandIn:
+        """That of one vehicle."""
+        common = StandIn(**{name: getattr(self, name) for name in StandIn.__struct_fields__})
+        own = self.vehicles.get(vehicle_id)
+        if not own:
+            return common
+        plain = to_builtins(common)
+        if own.get("autopilot", self.autopilot) != self.autopilot:
+            plain["parameters"] = {}  # the other autopilot has not even their names
+        return convert(overlaid(plain, own), StandIn)
 
 
 DelaySeconds = Annotated[float, Meta(ge=0, le=1)]

@@ -12,7 +12,7 @@ import msgspec
 import yaml
 
 from companion.link.tick import PERIOD_S
-from sitl.flight.files import autopilot_file, autopilot_path, ids_of
+from sitl.flight.files import autopilot_file, autopilot_path, autopilots_of
 from sitl.links.free_ports import reserved_ports
 from sitl.links.ports import LOOPBACK, ports_of
 from tests.bench.figures import Row, Section, Target, Window, lateness_us, percentile, windows_of, within
@@ -64,7 +64,8 @@ class WindowFigures:
 def measure(folder: Path) -> tuple[list[Section], Flown]:
     """The sections, and the flight for the table of CPU and memory."""
     scenario = line(VEHICLES, FORM_S)
-    with reserved_ports([*ids_of(scenario), MAVSDK], scenario.stand_in.autopilot, None) as offset, ExitStack() as stack:
+    autopilots = autopilots_of(scenario) | {MAVSDK: scenario.stand_in.autopilot}
+    with reserved_ports(autopilots, None) as offset, ExitStack() as stack:
         c_loop = build_c_loop(folder)
 
         def prepare() -> None:

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from companion.config.vehicle import load_agent
 from companion.link.fleet.peer_datagrams import PeerDatagrams
 from companion.link.tick import PERIOD_S
-from sitl.flight.files import ids_of, write_files
+from sitl.flight.files import autopilots_of, ids_of, write_files
 from sitl.links.free_ports import reserved_ports
 from tests.bench.agent_step import recorded, step_times_us
 from tests.bench.figures import REPEATS, Row, Section, Target
@@ -61,7 +61,7 @@ def _read_us(folder: Path) -> dict[int, float]:
     folder.mkdir(exist_ok=True)
     scenario = line(MANY + 1, 1.0)
     ids = [int(i) for i in ids_of(scenario)]
-    with reserved_ports(ids, scenario.stand_in.autopilot, None) as offset, ExitStack() as stack:
+    with reserved_ports(autopilots_of(scenario), None) as offset, ExitStack() as stack:
         write_files(scenario, folder, offset)
         own, *others = [stack.enter_context(closing(_datagrams(folder / f"vehicle_{i}.yaml"))) for i in ids]
         packets = {i: example_packet(i) for i in ids[1:]}

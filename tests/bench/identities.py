@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 from companion.link.fleet.identity import load
 from companion.security.identity import Identity
-from sitl.flight.files import ids_of, write_files
+from sitl.flight.files import autopilots_of, write_files
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.links.free_ports import reserved_ports
 from tests.bench.provisioned import identity_folder, provision, use_identities
@@ -45,8 +45,7 @@ def _name(secured: bool) -> str:
 
 def _cpu_percent(scenario: Scenario, folder: Path, secured: bool) -> float:
     """Mean of the agents in formation, as they report it."""
-    ids = ids_of(scenario)
-    with reserved_ports(ids, scenario.stand_in.autopilot, None) as offset:
+    with reserved_ports(autopilots_of(scenario), None) as offset:
         write_files(scenario, folder, offset)
         identity: Identity | None = None
         if secured:

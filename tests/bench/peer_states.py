@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
 
-from sitl.flight.files import ids_of, write_files
+from sitl.flight.files import autopilots_of, ids_of, write_files
 from sitl.links.free_ports import reserved_ports
 from sitl.links.ports import ports_of
 from tests.bench.figures import REPEATS, Row, Section
@@ -31,7 +31,7 @@ def measure(folder: Path) -> Section:
     folder.mkdir()
     scenario = line(VEHICLES, form_s=1.0)
     ids = [int(i) for i in ids_of(scenario)]
-    with reserved_ports(ids, scenario.stand_in.autopilot, None) as offset, ExitStack() as stack:
+    with reserved_ports(autopilots_of(scenario), None) as offset, ExitStack() as stack:
         write_files(scenario, folder, offset)
         ports = {i: ports_of(i, offset).zenoh for i in ids}  # for UDP they are free with TCP as Zenoh's transport
         vehicles = []

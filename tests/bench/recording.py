@@ -18,7 +18,7 @@ from companion.link.tick import PERIOD_S
 from companion.recording.files import MB, recorded_files
 from companion.recording.reader import recordings
 from companion.recording.records import INBOX
-from sitl.flight.files import ids_of, write_files
+from sitl.flight.files import autopilots_of, ids_of, write_files
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import FlightWatch
 from sitl.links.free_ports import reserved_ports
@@ -71,7 +71,7 @@ def _in_words(watch: FlightWatch, ids: tuple[int, ...]) -> str:
 def _flown(scenario: Scenario, folder: Path, recording: tuple[int, ...]) -> FlightWatch:
     """One flight. Raises SystemExit where it fails."""
     ids = ids_of(scenario)
-    with reserved_ports(ids, scenario.stand_in.autopilot, None) as offset:
+    with reserved_ports(autopilots_of(scenario), None) as offset:
         write_files(scenario, folder, offset)
         for vehicle_id in set(ids) - set(recording):
             _do_not_record(folder / f"vehicle_{vehicle_id}.yaml")

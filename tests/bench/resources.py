@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from pathlib import Path
 
-from sitl.flight.files import ids_of
+from sitl.flight.files import autopilots_of
 from sitl.links.free_ports import reserved_ports
 from tests.bench.control_loop import median_memory_mb, rate_of_slowest_hz
 from tests.bench.figures import Row, Section, Target, cpu_percent
@@ -33,7 +33,7 @@ def measure(few: Flown, folder: Path) -> Section:
 def _fly(count: int, folder: Path) -> Flown:
     folder.mkdir()
     scenario = line(count, FORM_S)
-    with reserved_ports(ids_of(scenario), scenario.stand_in.autopilot, None) as offset:
+    with reserved_ports(autopilots_of(scenario), None) as offset:
         return fly(scenario, folder, offset)
 
 

@@ -70,7 +70,7 @@ def test_the_table_is_written_between_the_marks(tmp_path: Path) -> None:
 def test_zenoh_sends_full_rate_only_to_those_that_subscribe(routed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tests.bench.large_fleet.SETTLES_S", 0.2)
     monkeypatch.setattr("tests.bench.large_fleet.WINDOW_S", 0.7)
-    with reserved_ports([1], None, None) as offset:
+    with reserved_ports({1: None}, None) as offset:
         measured = measure(Case(4, 1, routed), ports_of(1, offset).zenoh)
     packets_per_s = 50.0 + 4 * 5.0
     assert measured.result.packets_per_s == pytest.approx(packets_per_s, rel=0.3)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from sitl.flight.files import ids_of, write_files
+from sitl.flight.files import autopilots_of, write_files
 from sitl.flight.orders import FlightFailure
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import FlightWatch
@@ -109,7 +109,7 @@ def run_soak(folder: Path, seconds: float, quiet: bool, page_file: Path | None) 
     meanwhile = Meanwhile()
     scenario = load_scenario(scenario_file(folder, seconds))
     with (
-        reserved_ports(ids_of(scenario), scenario.stand_in.autopilot, None) as offset,
+        reserved_ports(autopilots_of(scenario), None) as offset,
         StopRequest("stopped at once; the vehicles were not landed") as stop,
     ):
         samples, failures = _fly(scenario, folder, offset, seconds, quiet, stop)

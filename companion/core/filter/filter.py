@@ -27,7 +27,6 @@ from companion.core.filter.solver import (
     Constraint,
     Rank,
     filter_acceleration,
-    is_possible,
     shortfalls,
 )
 from companion.core.filter.vehicles import (
@@ -115,22 +114,16 @@ class SafetyFilter:
         if self.traffic:
             others += traffic_nearby(now_s, vehicle, self.traffic)
         error = vehicle.position_error or NO_ERROR
-        # What is far away is looked at only where something changes the wanted acceleration.
-        near = separation.barriers(ahead, error, slot, others, separation.free_m(wanted_enu_m_s2))
-        below = separation.barriers_below(ahead, error, slot, others) if len(fresh) < len(peers) else []
-        near += below
+        barriers = [separation.barrier(ahead, error, slot, other) for other in others]
+        if len(fresh) < len(peers):
+            barriers += separation.barriers_below(ahead, error, slot, others)
         slowed, speed = self._bounds.limit_speed(ahead, wanted_enu_m_s2)
         # The speed limit is among the constraints, too: what the filter adds must not exceed it.
         bounds = self._bounds.constraints(ahead, vehicle.ground_position_enu_m) + speed
         seen = NOTHING_SEEN
-        if near:
-            nearest, violated = nearest_and_violated(now_s, vehicle, near, separation.separation_m)
+        if barriers:
+            nearest, violated = nearest_and_violated(now_s, vehicle, barriers, separation.separation_m)
             seen = SeparationReport(nearest, 0.0, violated)
-        if slowed is wanted_enu_m_s2 and not self._pressure.pressing:
-            limits = replace(self._limits, disturbance_enu_m_s2=disturbance_enu_m_s2)
-            if is_possible(slowed, constraints_of(near) + bounds, limits):
-                return Filtered(slowed, seen)
-        barriers = separation.barriers(ahead, error, slot, others) + below
         return self.allowed(now_s, vehicle, barriers, bounds, wanted_enu_m_s2, slowed, disturbance_enu_m_s2, seen)
 
     @property
@@ -157,7 +150,9 @@ class SafetyFilter:
         steps = CONTRADICTED_STEPS if barriers and barriers[-1].below else MOST_STEPS
         if pressure.pressing and pressure.lasts:
             acting, steps = pressure.bounded(barriers), CONTRADICTED_STEPS
-        constraints = constraints_of(acting) + bounds
+        constraints = [barrier.constraint for barrier in acting]
+        constraints += [b.constraint_without_margins for b in acting if b.constraint_without_margins]
+        constraints += bounds
         limits = replace(self._limits, disturbance_enu_m_s2=disturbance_enu_m_s2)
         allowed = filter_acceleration(slowed_enu_m_s2, constraints, limits, steps)
         if allowed is wanted_enu_m_s2 and not pressure.pressing:
@@ -174,12 +169,6 @@ class SafetyFilter:
         pressure.step(now_s, vehicle, barriers, constraints, allowed)
         report = SeparationReport(seen.nearest, dist(allowed, wanted_enu_m_s2), seen.violated, pressure.unshaken)
         return Filtered(allowed, report, removed_m_s2)
-
-
-def constraints_of(barriers: Iterable[Barrier]) -> list[Constraint]:
-    """With margins, then those without."""
-    without_margins = [barrier.constraint_without_margins for barrier in barriers]
-    return [barrier.constraint for barrier in barriers] + [constraint for constraint in without_margins if constraint]
 
 
 def better_kept(turned: Vector3, allowed: Vector3, constraints: Sequence[Constraint]) -> Vector3:

@@ -252,44 +252,43 @@ class Motions:
         """The peers nearby. `cooperates`: this vehicle flies in formation, so peers expect its share."""
         elapsed_s, self._peers_s = now_s - self._peers_s, now_s
         lag_share = 1.0 - LAG_S / (LAG_S + elapsed_s)
-        near, before, begins_s, own_id = [], self._lagged_enu_m_s2, self._silence.begins_s, self._own_id
+        near, before, begins_s = [], self._lagged_enu_m_s2, self._silence.begins_s
         commanded: dict[int, Vector3] = {}
-        (x, y, z), near_m, minus_near_m = vehicle.position_enu_m, NEAR_M, -NEAR_M
+        x, y, z = vehicle.position_enu_m
         for peer_id, peer in peers.items():
             packet, age_s = peer.packet, now_s - peer.measured_s
-            motion, phase, armed = packet.motion, packet.phase, packet.armed
-            there_enu_m, moving_enu_m_s = motion.position_enu_m, motion.velocity_enu_m_s
-            acceleration, is_fresh, (px, py, pz) = motion.acceleration_enu_m_s2, peer_id in fresh, there_enu_m
+            there_enu_m, moving_enu_m_s = packet.motion.position_enu_m, packet.motion.velocity_enu_m_s
+            acceleration = packet.motion.acceleration_enu_m_s2
+            is_fresh, (px, py, pz) = peer_id in fresh, there_enu_m
             if age_s > FORGOTTEN_S:
                 continue
-            dx, dy, dz = x - px, y - py, z - pz
-            if not (minus_near_m < dx < near_m and minus_near_m < dy < near_m and minus_near_m < dz < near_m):
+            if abs(x - px) >= NEAR_M or abs(y - py) >= NEAR_M or abs(z - pz) >= NEAR_M:
                 reaches_m_s = moving_enu_m_s if is_fresh else _reached_in_silence(moving_enu_m_s, acceleration)
                 if not _may_meet(vehicle, there_enu_m, reaches_m_s, age_s):
                     continue
             last = before.get(peer_id)
-            if last is not None and is_fresh and phase is not OBSERVE:  # a pilot's is flown, not commanded
+            if last is not None and is_fresh and packet.phase is not OBSERVE:  # a pilot's is flown, not commanded
                 (lx, ly, lz), (ux, uy, uz) = last, acceleration
                 acceleration = (lx + lag_share * (ux - lx), ly + lag_share * (uy - ly), lz + lag_share * (uz - lz))
             commanded[peer_id] = acceleration
             silence: Silence | None = None  # it flies by the last command of its packet
             if age_s > begins_s:
-                silence = self._silence if armed else self._silence_on_ground
+                silence = self._silence if packet.armed else self._silence_on_ground
             elif peer.contradicts:
                 silence = self._in_doubt
-            elif armed and phase not in STREAMING:
-                silence = self._piloted if phase is OBSERVE else self._on_its_own
-            makes_way = is_fresh and phase is FORMATION
+            elif packet.armed and packet.phase not in STREAMING:
+                silence = self._piloted if packet.phase is OBSERVE else self._on_its_own
+            makes_way = is_fresh and packet.phase is FORMATION
             other = Other(
                 peer_id,
                 (there_enu_m, moving_enu_m_s, acceleration),
                 age_s,
                 silence,
                 packet.position_error or NO_ERROR,
-                HEIGHT_WEIGHT if armed else 1.0,  # no downwash reaches a vehicle on the ground
+                HEIGHT_WEIGHT if packet.armed else 1.0,  # no downwash reaches a vehicle on the ground
                 packet.slot if cooperates and makes_way else None,
                 makes_way=makes_way,
-                side=1.0 if own_id < peer_id else -1.0,
+                side=1.0 if self._own_id < peer_id else -1.0,
             )
             near.append(other)
         self._lagged_enu_m_s2 = commanded

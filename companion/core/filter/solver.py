@@ -96,17 +96,10 @@ def filter_acceleration(
 
     Of one that the vehicle cannot fly, what the limits leave of it must meet them, too.
     """
-    if is_possible(wanted_enu_m_s2, constraints, limits):
-        return wanted_enu_m_s2
-    return _solve(limits.limit(wanted_enu_m_s2), constraints, limits, most_steps)
-
-
-def is_possible(wanted_enu_m_s2: Vector3, constraints: Sequence[Constraint], limits: AccelerationLimits) -> bool:
-    """Whether it meets all constraints, and so does what the limits leave of it."""
-    if not _meets(wanted_enu_m_s2, constraints):
-        return False
     possible = limits.limit(wanted_enu_m_s2)
-    return possible is wanted_enu_m_s2 or _meets(possible, constraints)
+    if _meets(wanted_enu_m_s2, constraints) and (possible is wanted_enu_m_s2 or _meets(possible, constraints)):
+        return wanted_enu_m_s2
+    return _solve(possible, constraints, limits, most_steps)
 
 
 def _meets(acceleration_enu_m_s2: Vector3, constraints: Sequence[Constraint]) -> bool:

@@ -38,7 +38,6 @@ from msgspec import Struct
 from companion.core.filter.motion import LAG_S, Ahead, Motion, Other, Silence, column_m, nearest_on_way
 from companion.core.filter.solver import MARGIN, VEHICLE, Constraint
 from companion.geometry.curves import approach_speed
-from companion.geometry.formations import HEIGHT_WEIGHT
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.formation import FlownSlot, Gains
 from companion.types.status import NearestVehicle
@@ -72,7 +71,6 @@ SIDEWAYS_RATIO = 0.25  # nearer than this times separation_m the way out is side
 SIDE_M = 0.05  # a nearer vehicle shows no side to leave it by: noise would choose
 NEAREST_M = 0.1  # keeps the turn of the line between two vehicles finite
 TURNING_S2 = 0.5 * LAG_S * LAG_S
-QUIET_M_S, QUIET_M_S2 = 0.4, 0.5  # a vehicle far away that moves along with this one, slower and softer than that
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,9 +110,6 @@ class Separation:
         self._braking_together_m_s2 = 2.0 * settings.braking_m_s2
         self._largest_error_m = LARGEST_ERROR_RATIO * settings.separation_m
         self._close_m = SIDEWAYS_RATIO * settings.separation_m
-        # Of a vehicle that is quiet, with all margins. Where only its distance counts, it is not looked at beyond that.
-        self._most_required_m = (1.0 + LARGEST_ERROR_RATIO) * settings.separation_m + TRACKING_M + PASSING_M
-        self._most_required_m += UNSEEN_DELAY_S * QUIET_M_S + TURNING_S2 * QUIET_M_S * QUIET_M_S / NEAREST_M
         self._sideways: dict[int | str, tuple[float, float]] = {}  # the direction to leave each close vehicle by
 
     def barriers_below(
@@ -124,46 +119,11 @@ class Separation:
         below = [self._below(ahead, error, slot, other, other.silence) for other in others if other.silence]
         return [barrier for barrier in below if barrier is not None]
 
-    def barriers(
-        self,
-        ahead: Ahead,
-        error: PositionError,
-        slot: FlownSlot | None,
-        others: Iterable[Other],
-        free_m: float = inf,
-    ) -> list[Barrier]:
-        """One for each, but for quiet vehicles whose margin is larger than `free_m` and than that of another one.
+    def barrier(self, ahead: Ahead, error: PositionError, slot: FlownSlot | None, other: Other) -> Barrier:
+        """The constraint n . u >= a that keeps h' >= -k h, in coordinates whose height is weighted.
 
         `error` and `slot` are of this vehicle; no slot outside formation.
         """
-        barriers, nearest_m, near_m = [], inf, inf
-        for other in others:
-            barrier = self._barrier(ahead, error, slot, other, near_m)
-            if barrier is None:
-                continue
-            barriers.append(barrier)
-            if barrier.margin_m < nearest_m:
-                nearest_m = barrier.margin_m
-                near_m = self._most_required_m + (free_m if free_m > nearest_m else nearest_m)
-        return barriers
-
-    def free_m(self, wanted_enu_m_s2: Vector3) -> float:
-        """The margin from which on a quiet vehicle allows this acceleration u, in any direction.
-
-        In `_barrier`, with |u_other| < QUIET_M_S2, n . (u - u_other) >= least holds where least <= -2 (|u| + QUIET_M_S2), and
-        so does the half of least that the own vehicle takes. |closing| < QUIET_M_S gives V, and V the margin, with the least
-        size of the gradient: the weight of heights.
-        """
-        allows_m_s2 = 2.0 * (hypot(*wanted_enu_m_s2) + QUIET_M_S2)
-        speed_m_s = (allows_m_s2 + (RESPONSE_1_S + SLOPE_1_S) * QUIET_M_S) / RESPONSE_1_S
-        braking_m_s2 = self._braking_together_m_s2
-        least_braking_m_s2, straight_m = HEIGHT_WEIGHT * braking_m_s2, braking_m_s2 / (SLOPE_1_S * SLOPE_1_S)
-        return speed_m_s * speed_m_s / (2.0 * least_braking_m_s2) + 0.5 * straight_m
-
-    def _barrier(
-        self, ahead: Ahead, error: PositionError, slot: FlownSlot | None, other: Other, near_m: float
-    ) -> Barrier | None:
-        """n . u >= a keeps h' >= -k h, in coordinates whose height is weighted. None of a quiet vehicle beyond `near_m`."""
         (x, y, z), (wx, wy, wz) = ahead.position_enu_m, ahead.velocity_enu_m_s
         weight, slot_of_other = other.height_weight, other.slot
         if other.silence is None:
@@ -175,11 +135,9 @@ class Separation:
         sz = rz * weight
         apart_m = sqrt(rx * rx + ry * ry + sz * sz)
         if apart_m > self._close_m:
+            nx, ny, nz = rx / apart_m, ry / apart_m, sz / apart_m
             if self._sideways:
                 self._sideways.pop(other.key, None)
-            if apart_m > near_m and _is_quiet(other, wx, wy, wz, ax, ay, az):
-                return None
-            nx, ny, nz = rx / apart_m, ry / apart_m, sz / apart_m
         else:
             nx, ny, nz = (*self._sideways_of(other, rx, ry), 0.0)
         closing_m_s = -(nx * wx + ny * wy + nz * wz)
@@ -213,8 +171,9 @@ class Separation:
                 own_m_s2 = 0.5 * least_m_s2
         elif margins_m > 0.0:
             allowed_m_s, slope_1_s = approach_speed(margin_m + margins_m, braking_m_s2, SLOPE_1_S, FASTEST_LEAVING_M_S)
-            least_m_s2 = RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2
-            least_m_s2 += towards_m_s2
+            least_m_s2 = (
+                RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2 + towards_m_s2
+            )
             rank, without_margins = MARGIN, (nx, ny, mz, least_m_s2 / size, VEHICLE)
         constraint = (nx, ny, mz, own_m_s2 / size, rank)
         return Barrier(constraint, other, offset_enu_m, required_m, margin_m, without_margins)
@@ -298,14 +257,6 @@ class Separation:
             allowance_m = max(allowance_m, passing_m)
         most_m = separation_m + allowance_m
         return required_m if required_m < most_m else most_m
-
-
-def _is_quiet(other: Other, wx: float, wy: float, wz: float, ax: float, ay: float, az: float) -> bool:
-    """Whether a cooperating vehicle that is heard moves along with this one: its relative velocity, its acceleration."""
-    if other.slot is None or other.silence is not None:
-        return False
-    is_slow = wx * wx + wy * wy + wz * wz < QUIET_M_S * QUIET_M_S
-    return is_slow and ax * ax + ay * ay + az * az < QUIET_M_S2 * QUIET_M_S2
 
 
 def nearest_and_violated(

@@ -113,12 +113,13 @@ def make_targets() -> set[str]:
 
 def test_scenario_of_the_page_flies(tmp_path: Path) -> None:
     text = (ROOT / "docs" / "writing-a-scenario.md").read_text(encoding="utf-8")
-    scenario, steps = [block for language, block in FENCE.findall(text) if language == "yaml"]
+    scenario, mixed, steps = [block for language, block in FENCE.findall(text) if language == "yaml"]
     file = tmp_path / "scenario.yaml"
     file.write_text(scenario, encoding="utf-8")
     assert [member.id for member in load_scenario(file).fleet.vehicles] == [1, 2, 3, 4, 5]
     longer = yaml.safe_load(scenario)
     longer["timeline"][4:4] = yaml.safe_load(steps)["timeline"]
+    longer["stand_in"] = yaml.safe_load(mixed)["stand_in"]
     file.write_text(yaml.safe_dump(longer), encoding="utf-8")
     assert len(load_scenario(file).timeline) == 10
 

@@ -72,7 +72,7 @@ class States:
         ):
             motion = (vector(last[:3]), vector(last[3:6]), vector(last[6:]))
             other = Other(2, motion, age_s, None, error, HEIGHT_WEIGHT, slots[self.other], makes_way=True, side=1.0)
-            barriers += separation.barriers(Ahead(vector(q), vector(w)), error, slots[self.own], [other])
+            barriers.append(separation.barrier(Ahead(vector(q), vector(w)), error, slots[self.own], other))
         return barriers
 
 

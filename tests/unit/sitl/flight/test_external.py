@@ -120,7 +120,7 @@ def test_stand_ins_and_external_vehicles_exclude_each_other() -> None:
 
 
 def test_only_the_agents_ports_must_be_free() -> None:
-    with reserved_ports([1, 2], None, 2400):
+    with reserved_ports(dict.fromkeys([1, 2]), 2400):
         pass
     with pytest.raises(PortInUseError, match=r"TCP port 9848"):
         import socket
@@ -128,7 +128,7 @@ def test_only_the_agents_ports_must_be_free() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as taken:
             taken.bind(("127.0.0.1", 9848))
             taken.listen()
-            with reserved_ports([1], None, 2400):
+            with reserved_ports(dict.fromkeys([1]), 2400):
                 pass
 
 

@@ -104,7 +104,7 @@ def test_autopilot_files_hold_the_starts_of_the_scenario(scenario: Scenario, tmp
         file = load(tmp_path / f"autopilot_{vehicle_id}.yaml", AutopilotFile)
         assert (file.id, file.start_enu_m) == (vehicle_id, start_enu_m)
         assert file.stand_in == msgspec.structs.replace(
-            scenario.stand_in, armable_after_s=4.0, parameters={"COM_OBL_RC_ACT": 5.0}
+            scenario.stand_in_of(vehicle_id), armable_after_s=4.0, parameters={"COM_OBL_RC_ACT": 5.0}
         )
         assert file.world_origin == scenario.fleet.origin
 

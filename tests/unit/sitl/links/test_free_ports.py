@@ -11,7 +11,7 @@ from sitl.links.ports import ports_of
 
 def check_ports(ids: list[int], kind: AutopilotKind, offset: int) -> None:
     """Reserve the ports of these vehicles for a moment. Raises PortInUseError."""
-    with reserved_ports(ids, kind, offset):
+    with reserved_ports(dict.fromkeys(ids, kind), offset):
         pass
 
 

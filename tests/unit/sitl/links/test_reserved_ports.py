@@ -18,7 +18,7 @@ OFFSET = 9300  # used by no other test
 OTHER_FLEET = f"""
 from companion.types.autopilot import AutopilotKind
 from sitl.links.free_ports import reserved_ports
-with reserved_ports([1, 2], AutopilotKind.PX4, {OFFSET}):
+with reserved_ports(dict.fromkeys([1, 2], AutopilotKind.PX4), {OFFSET}):
     print("reserved", flush=True)
     input()
 """
@@ -41,7 +41,7 @@ def test_a_reserved_port_is_refused() -> None:
     with (
         other_fleet(),
         pytest.raises(PortInUseError, match=r"^UDP port 23881, .*\(reserved by another fleet\)"),
-        reserved_ports([2], AutopilotKind.PX4, OFFSET),
+        reserved_ports(dict.fromkeys([2], AutopilotKind.PX4), OFFSET),
     ):
         pass
 
@@ -49,13 +49,13 @@ def test_a_reserved_port_is_refused() -> None:
 def test_reserved_ports_are_free_again_when_the_process_is_killed() -> None:
     with other_fleet():
         pass
-    with reserved_ports([1, 2], AutopilotKind.PX4, OFFSET) as offset:
+    with reserved_ports(dict.fromkeys([1, 2], AutopilotKind.PX4), OFFSET) as offset:
         assert offset == OFFSET
 
 
 def test_the_next_offset_is_taken_when_ports_are_reserved(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sitl.links.free_ports.OFFSETS", range(OFFSET, OFFSET + 500, 100))
-    with other_fleet(), reserved_ports([1, 2], AutopilotKind.PX4, None) as offset:
+    with other_fleet(), reserved_ports(dict.fromkeys([1, 2], AutopilotKind.PX4), None) as offset:
         assert offset == OFFSET + 100
 
 
@@ -63,13 +63,13 @@ def test_the_next_offset_is_taken_when_ports_are_reserved(monkeypatch: pytest.Mo
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_every_shipped_scenario_has_an_offset(kind: AutopilotKind, path: object) -> None:
     scenario = load_scenario(path)  # type: ignore[arg-type]
-    with reserved_ports(ids_of(scenario), kind, None) as offset:
+    with reserved_ports(dict.fromkeys(ids_of(scenario), kind), None) as offset:
         assert offset % 100 == 0
 
 
 def test_a_fleet_with_ids_too_far_apart_is_refused() -> None:
     with (
         pytest.raises(PortInUseError, match="ids that lie less than 40 apart"),
-        reserved_ports([1, 41], AutopilotKind.PX4, None),
+        reserved_ports(dict.fromkeys([1, 41], AutopilotKind.PX4), None),
     ):
         pass
