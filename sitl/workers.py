@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator, MutableSequence, Sequence
@@ -20,7 +21,9 @@ from dataclasses import dataclass
 from functools import partial
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
-from typing import Generic, Protocol, TypeVar
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Generic, Protocol, TypeVar
 
 from companion.types.errors import FailedError
 
@@ -119,9 +122,15 @@ class LocalWorkers:
         count = max(1, min(len(jobs), self.count or len(os.sched_getaffinity(0))))
         pool = ProcessPoolExecutor(count, context, _start_worker, (parent_is_alive, shares))
         weights = weights or [1.0] * len(jobs)
+        # A thread of the pool would wait for ever to write a job that a pipe cannot hold, once no worker reads (CPython
+        # gh-94777): the pipe gets the path of its file.
+        folder = TemporaryDirectory(prefix="jobs-")
         try:
+            files = [Path(folder.name) / str(index) for index in range(len(jobs))]
+            for file, job in zip(files, jobs, strict=True):
+                file.write_bytes(pickle.dumps((work, job)))
             with _terminal_signals_blocked():
-                futures = {index: pool.submit(_do, work, index, jobs[index]) for index in heaviest_first(weights)}
+                futures = {index: pool.submit(_do, index, files[index]) for index in heaviest_first(weights)}
                 # The pool looks for dead workers among those that it knew at the last submission. A worker is started after
                 # that look, so one more job, which does nothing, makes the pool watch the last worker too.
                 pool.submit(_do_nothing)
@@ -131,6 +140,7 @@ class LocalWorkers:
                 ours.close()
                 pool.shutdown(cancel_futures=True)
                 parent_is_alive.close()
+                folder.cleanup()
 
 
 def heaviest_first(weights: Sequence[float]) -> list[int]:
@@ -203,7 +213,9 @@ def _do_nothing() -> None:
     pass
 
 
-def _do(work: Callable[[Job], Result], index: int, job: Job) -> Result:
+def _do(index: int, file: Path) -> Any:
+    """The result of the work in this file."""
     assert _shares is not None
+    work, job = pickle.loads(file.read_bytes())
     with reporting_to(partial(_shares.__setitem__, index)):
         return work(job)

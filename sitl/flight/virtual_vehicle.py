@@ -67,9 +67,12 @@ class VirtualStandIn:
 
     def step(self, now_s: float) -> None:
         """Advance by one step to this time."""
-        self.link.deliver(now_s)
-        self.autopilot.step()
-        self.link.send_telemetry(now_s)
+        link, autopilot = self.link, self.autopilot
+        if link.to_autopilot:
+            link.deliver(now_s)
+        autopilot.step()
+        if now_s >= link.schedule.next_s or autopilot.texts or autopilot.origin_changes:
+            link.send_telemetry(now_s)
 
     def record(self, now_s: float) -> None:
         """Add a row to the track."""

@@ -126,24 +126,23 @@ class DirectLink:
         self._late = [late for late in links.late_telemetry if late.vehicle == autopilot.system_id]
         self._last_s = self._time_asked_s = -inf
         self.end = end
-        self._schedule = end.schedule
-        unasked = {M.MAVLINK_MSG_ID_MISSION_CURRENT: self._schedule.default_hz(M.MAVLINK_MSG_ID_MISSION_CURRENT)}
-        self._schedule.reset(unasked | rates_hz(autopilot.kind), phase_s)
+        self.schedule = end.schedule
+        unasked = {M.MAVLINK_MSG_ID_MISSION_CURRENT: self.schedule.default_hz(M.MAVLINK_MSG_ID_MISSION_CURRENT)}
+        self.schedule.reset(unasked | rates_hz(autopilot.kind), phase_s)
         self._translator = Translator(autopilot.system_id, autopilot.kind)
         self._to_agent: deque[Telemetry] = deque()  # in the order of `received_s`
         self._positions_s: deque[float] = deque()  # when those among them arrive
         self.position_s = inf  # when the next one does, which triggers a tick; infinite where none is on its way
         self.setpoint_s = -inf  # when the agent sent its last attitude target
         self.target = AttitudeTarget(0.0, 0.0, 0.0, 0.0)  # that one
-        self._to_autopilot: deque[tuple[float, AttitudeSetpoint | bytes]] = deque()
+        self.to_autopilot: deque[tuple[float, AttitudeSetpoint | bytes]] = deque()  # what is on its way there
 
     # ------------------------------------------------------------ the autopilot's end
 
     def deliver(self, now_s: float) -> None:
         """Deliver to the autopilot what has arrived by now."""
-        waiting = self._to_autopilot
-        while waiting and waiting[0][0] <= now_s:
-            _, what = waiting.popleft()
+        while self.to_autopilot and self.to_autopilot[0][0] <= now_s:
+            _, what = self.to_autopilot.popleft()
             if isinstance(what, AttitudeSetpoint):
                 self.autopilot.take_setpoint(what)
             else:
@@ -156,10 +155,10 @@ class DirectLink:
             self.autopilot.texts.clear()
         if self.autopilot.origin_changes and self.end.has_changes:  # the agent requests the first one itself
             self._send(self.end.changes(), now_s)
-        if now_s < self._schedule.next_s:
+        if now_s < self.schedule.next_s:
             return
         received_s = self._received_s(now_s)
-        for message_id in self._schedule.due(now_s):
+        for message_id in self.schedule.due(now_s):
             samples = SAMPLES[message_id](self.autopilot, received_s)
             if samples and message_id == M.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
                 self._positions_s.append(received_s)
@@ -204,7 +203,7 @@ class DirectLink:
 
     def command(self, target: AttitudeTarget, now_s: float) -> None:
         self.target, self.setpoint_s = target, now_s
-        self._to_autopilot.append((now_s + self._setpoint_delay_s, setpoint_of(self.autopilot.kind, target)))
+        self.to_autopilot.append((now_s + self._setpoint_delay_s, setpoint_of(self.autopilot.kind, target)))
 
     def request(self, request: AutopilotRequest, now_s: float) -> None:
-        self._to_autopilot.append((now_s + self._setpoint_delay_s, self._translator.request(request)))
+        self.to_autopilot.append((now_s + self._setpoint_delay_s, self._translator.request(request)))

@@ -40,13 +40,10 @@ class Path:
 
     def arrivals_s(self, now_s: float) -> tuple[float, ...]:
         """Arrival times of a datagram sent now: one, none if it is lost, two if it is duplicated."""
-        links = self.links
-        if not (links.peer_loss or links.peer_jitter_s or links.peer_duplicates or links.partitions):
-            return (now_s + links.peer_delay_s,)
         if self.loses() or self.is_cut(now_s):
             return ()
         arrives_s = now_s + self.delay_s()
-        duplicates = links.peer_duplicates
+        duplicates = self.links.peer_duplicates
         if duplicates and self._random.random() < duplicates:
             return arrives_s, now_s + self.delay_s()
         return (arrives_s,)
@@ -64,6 +61,8 @@ class Network:
         self._next_distant: list[tuple[float, int, frozenset[int]]] = []  # from when on, receiver, its distant peers
         self._subscribed_after_s = SUBSCRIBED_AFTER_S + links.peer_delay_s + links.peer_jitter_s
         self._false_positions = links.false_positions
+        self._links = links  # those of a path may be replaced in flight
+        self._is_undisturbed = not (links.peer_loss or links.peer_jitter_s or links.peer_duplicates or links.partitions)
         self._sent = 0
 
     def send(self, packet: PeerPacket, now_s: float) -> None:
@@ -77,11 +76,17 @@ class Network:
             if false.vehicle == sender_id and false.from_s <= now_s < false.until_s:
                 packet = _shifted(packet, *false.stated(now_s))
         at_low_rate = (packet.sender.sequence + sender_id) % LOW_RATE_TICKS == 0
+        in_transit, distant = self._in_transit, self.distant
+        in_time = (now_s + self._links.peer_delay_s, self._sent, packet)
         for path in self.paths[sender_id]:
-            if not at_low_rate and sender_id in self.distant[path.receiver]:
+            receiver = path.receiver
+            if not at_low_rate and sender_id in distant[receiver]:
+                continue
+            if path.links is self._links and self._is_undisturbed:
+                insort(in_transit[receiver], in_time)
                 continue
             for arrives_s in path.arrivals_s(now_s):
-                insort(self._in_transit[path.receiver], (arrives_s, self._sent, packet))
+                insort(in_transit[receiver], (arrives_s, self._sent, packet))
 
     def set_low_rate_peers(self, vehicle_id: int, distant_ids: Iterable[int], now_s: float) -> None:
         """This vehicle subscribes to these peers at 5 Hz, and to all others at 50 Hz."""

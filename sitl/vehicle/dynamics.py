@@ -82,13 +82,14 @@ class Body:
         if follow_1_s == 0.0:
             force, mx, my, mz = thrust_n, tx, ty, tz
         per_mass = force / self.mass_kg
-        new_vx = vx + dt_s * (2.0 * (x * z + w * y) * per_mass - drag_1_s * (vx - wx))
-        new_vy = vy + dt_s * (2.0 * (y * z - w * x) * per_mass - drag_1_s * (vy - wy))
+        twice = 2.0 * per_mass
+        new_vx = vx + dt_s * ((x * z + w * y) * twice - drag_1_s * (vx - wx))
+        new_vy = vy + dt_s * ((y * z - w * x) * twice - drag_1_s * (vy - wy))
         new_vz = vz + dt_s * ((1.0 - 2.0 * (x * x + y * y)) * per_mass - GRAVITY_M_S2 - drag_1_s * (vz - wz))
-        new_w = w + dt_s * (0.5 * (-x * p - y * q - z * r))
-        new_x = x + dt_s * (0.5 * (w * p + y * r - z * q))
-        new_y = y + dt_s * (0.5 * (w * q - x * r + z * p))
-        new_z = z + dt_s * (0.5 * (w * r + x * q - y * p))
+        new_w = w - half_dt_s * (x * p + y * q + z * r)
+        new_x = x + half_dt_s * (w * p + y * r - z * q)
+        new_y = y + half_dt_s * (w * q - x * r + z * p)
+        new_z = z + half_dt_s * (w * r + x * q - y * p)
         norm = sqrt(new_w * new_w + new_x * new_x + new_y * new_y + new_z * new_z)
         return (
             px + dt_s * vx + half_dt_s * (new_vx - vx),

@@ -24,7 +24,7 @@ from companion.types.values import ZERO3, Vector3
 
 FORGOTTEN_S = 0.5
 OFF_M, OFF_M_S = 0.75, 1.5  # sums from which on position or velocity are off
-MOST = 2.0  # each sum is at most this times its limit
+MOST_M, MOST_M_S = 2.0 * OFF_M, 2.0 * OFF_M_S  # each sum is at most that large
 NOISE_M_S = 0.3  # a velocity may change by so much at any time
 BEND_M_S2 = 5.0  # two velocities may misjudge the distance between them by this times the time squared
 LONGEST_STEP_S = 0.5  # the motion in a longer one is unknown
@@ -63,29 +63,31 @@ def coherent(
     (x0, y0, z0), (vx0, vy0, vz0) = before.position_enu_m, before.velocity_enu_m_s
     (ox, oy, oz), half_s, left = before.off_enu_m, 0.5 * step_s, FORGOTTEN_S / (FORGOTTEN_S + step_s)
     dx, dy, dz = x - x0, y - y0, z - z0
-    ox, oy, oz = ox + dx - (vx + vx0) * half_s, oy + dy - (vy + vy0) * half_s, oz + dz - (vz + vz0) * half_s
-    ox, oy, oz = ox * left, oy * left, oz * left
+    ox = (ox + dx - (vx + vx0) * half_s) * left
+    oy = (oy + dy - (vy + vy0) * half_s) * left
+    oz = (oz + dz - (vz + vz0) * half_s) * left
     off_m, limit_m = sqrt(ox * ox + oy * oy + oz * oz), OFF_M + BEND_M_S2 * step_s * step_s
-    if off_m > MOST * OFF_M:
-        scale = MOST * OFF_M / off_m
+    if off_m > MOST_M:
+        scale = MOST_M / off_m
         ox, oy, oz = ox * scale, oy * scale, oz * scale
     ax, ay, az = vx - vx0, vy - vy0, vz - vz0
     off_m_s = before.off_m_s + sqrt(ax * ax + ay * ay + az * az) - most_m_s2 * step_s - NOISE_M_S
     off_m_s = off_m_s * left if off_m_s > 0.0 else 0.0
-    if off_m_s > MOST * OFF_M_S:
-        off_m_s = MOST * OFF_M_S
-    doubt_s = before.doubt_s
+    if off_m_s > MOST_M_S:
+        off_m_s = MOST_M_S
+    doubt_s, contradicts = before.doubt_s, False
     if off_m > limit_m or off_m_s > OFF_M_S:
         doubt_s += step_s if step_s < COUNTS_S else COUNTS_S
         if doubt_s > MOST_DOUBT_S:
             doubt_s = MOST_DOUBT_S
     elif doubt_s > 0.0:
         doubt_s = doubt_s - RECOVERS * step_s if doubt_s > RECOVERS * step_s else 0.0
+    if doubt_s > TRUSTED_S:
+        contradicts = before.contradicts or doubt_s > IN_DOUBT_S
     (mx, my, mz), new = before.moves_enu_m_s, 1.0 - left
     if step_s > 0.0:
         share = new / step_s
         mx, my, mz = mx * left + dx * share, my * left + dy * share, mz * left + dz * share
-    contradicts = doubt_s > (TRUSTED_S if before.contradicts else IN_DOUBT_S)
     return Coherence(
         measured_s, position_enu_m, velocity_enu_m_s, (mx, my, mz), (ox, oy, oz), off_m_s, doubt_s, contradicts
     )

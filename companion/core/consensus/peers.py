@@ -66,10 +66,10 @@ class FleetLimits:
 
 def refusal_of_claims(packet: PeerPacket, fleet: KnownFleet) -> Code | None:
     """Checks sender, formation hash, role, PrC, leader beacon, reference and change."""
-    sender, leader = packet.sender, packet.leader
+    sender, leader, known = packet.sender, packet.leader, fleet.may_lead
     if sender.vehicle_id == fleet.own_id:
         return Code.PEER_OWN_ID
-    may_lead = fleet.may_lead.get(sender.vehicle_id)
+    may_lead = known.get(sender.vehicle_id)
     if may_lead is None:
         return Code.PEER_NOT_IN_FLEET
     if sender.formation_hash != fleet.formation_hash:
@@ -77,7 +77,7 @@ def refusal_of_claims(packet: PeerPacket, fleet: KnownFleet) -> Code | None:
     is_leader, beacon = packet.role is LEADER, leader.beacon
     if is_leader and not may_lead:
         return Code.PEER_NOT_A_LEADER
-    if not 1 <= leader.prc <= len(fleet.may_lead) or (leader.prc == 1) is not is_leader:
+    if not 1 <= leader.prc <= len(known) or (leader.prc == 1) is not is_leader:
         return Code.PEER_PRC_IMPLAUSIBLE
     held = packet.reference
     if held and not (held.flown >= 0 and held.waiting >= 0 and 0.0 <= held.begun_s <= MAX_MISSION_S):
@@ -87,22 +87,26 @@ def refusal_of_claims(packet: PeerPacket, fleet: KnownFleet) -> Code | None:
     if is_leader and (beacon is None or beacon.leader_id != sender.vehicle_id):
         return Code.PEER_BEACON_MISSING
     if beacon is not None:
-        may_claim = beacon.claim == 0 or (beacon.leader_id, beacon.claim) in fleet.claims
-        in_range = 0 <= beacon.epoch <= MAX_EPOCH and 0.0 <= beacon.reference_s <= MAX_MISSION_S
         heading = beacon.heading
-        turns = abs(heading.rate_rad_s) <= MAX_TURN_RAD_S and abs(heading.acceleration_rad_s2) <= MAX_TURN_RAD_S2
-        heading_in_range = turns and abs(heading.angle_rad) <= pi
-        if not (fleet.may_lead.get(beacon.leader_id, False) and may_claim and in_range and heading_in_range):
+        if not (
+            known.get(beacon.leader_id)
+            and (beacon.claim == 0 or (beacon.leader_id, beacon.claim) in fleet.claims)
+            and 0 <= beacon.epoch <= MAX_EPOCH
+            and 0.0 <= beacon.reference_s <= MAX_MISSION_S
+            and abs(heading.rate_rad_s) <= MAX_TURN_RAD_S
+            and abs(heading.acceleration_rad_s2) <= MAX_TURN_RAD_S2
+            and abs(heading.angle_rad) <= pi
+        ):
             return Code.PEER_BEACON_IMPLAUSIBLE
     return None
 
 
 def refusal_of_motion(packet: PeerPacket, limits: FleetLimits, known: FlownSlot | None) -> Code | None:
     """Checks position, velocity, acceleration, times, slot and position error. `known` is a slot that has passed before."""
-    motion, slot, error, most = packet.motion, packet.slot, packet.position_error, MAX_COORDINATE_M
-    x, y, z = motion.position_enu_m
-    vx, vy, vz = motion.velocity_enu_m_s
-    if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
+    motion, slot, error = packet.motion, packet.slot, packet.position_error
+    least, most = -MAX_COORDINATE_M, MAX_COORDINATE_M
+    (x, y, z), (vx, vy, vz) = motion.position_enu_m, motion.velocity_enu_m_s
+    if not (least <= x <= most and least <= y <= most and least <= z <= most):
         return _not_finite(motion) or Code.PEER_POSITION_IMPLAUSIBLE
     if not hypot(vx, vy, vz) <= limits.speed_m_s:  # or not a number, here and below
         return _not_finite(motion) or Code.PEER_SPEED_IMPLAUSIBLE
@@ -119,11 +123,16 @@ def refusal_of_motion(packet: PeerPacket, limits: FleetLimits, known: FlownSlot 
     if packet.rft is not None and not _is_plausible_rft(packet.rft, limits):
         return Code.PEER_SLOT_IMPLAUSIBLE
     for x, y, z in packet.law_values:
-        if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
+        if not (least <= x <= most and least <= y <= most and least <= z <= most):
             return Code.PEER_LAW_VALUES_IMPLAUSIBLE
     if error and not (0.0 <= error.horizontal_m <= MAX_ERROR_M and 0.0 <= error.vertical_m <= MAX_ERROR_M):
         return Code.PEER_POSITION_ERROR_IMPLAUSIBLE
     return None
+
+
+def _squared(vector: Vector3) -> float:
+    x, y, z = vector
+    return x * x + y * y + z * z
 
 
 def _not_finite(motion: Motion) -> Code | None:
@@ -274,26 +283,28 @@ class PeerTable:
 
     def fold(self, packets: Iterable[ReceivedPeerPacket], epochs_up_to: int) -> None:
         """Check and take these packets; of one with a beacon of a larger epoch only the motion."""
+        fleet, limits, known = self._fleet, self._limits, self.known
         for received in packets:
             packet = received.packet
-            before = self.known.get(packet.sender.vehicle_id)
-            known = before.packet.slot if before is not None else None
-            code = refusal_of_claims(packet, self._fleet) or refusal_of_motion(packet, self._limits, known)
-            code = code or self._take(received, before, epochs_up_to)
-            if code is None:
-                if packet.lost:
-                    self._hear_of(packet.lost, received.received_s)
-                continue
-            if code in DUPLICATES:
-                self.duplicate_id_s = received.received_s
-            self._count(code, packet.sender.vehicle_id)
+            before = known.get(packet.sender.vehicle_id)
+            code = (
+                refusal_of_claims(packet, fleet)
+                or refusal_of_motion(packet, limits, None if before is None else before.packet.slot)
+                or self._take(received, before, epochs_up_to)
+            )
+            if code is not None:
+                if code in DUPLICATES:
+                    self.duplicate_id_s = received.received_s
+                self._count(code, packet.sender.vehicle_id)
+            elif packet.lost:
+                self._hear_of(packet.lost, received.received_s)
 
     def _take(self, received: ReceivedPeerPacket, before: PeerState | None, epochs_up_to: int) -> Code | None:
         """The packet as the newest state of its vehicle, or the refusal by the packets before: `before` has the last one.
 
         Checked are session, sequence, delay and distance.
         """
-        packet, received_s = received.packet, received.received_s
+        packet, received_s, limits = received.packet, received.received_s, self._limits
         sender, motion, beacon = packet.sender, packet.motion, packet.leader.beacon
         vehicle_id = sender.vehicle_id
         max_age_s = self._age_limit_s(vehicle_id) if self.low_rate_s else self._max_age_s
@@ -307,17 +318,19 @@ class PeerTable:
             since_s = received_s - before.received_s
             elapsed_s = (since_s if since_s > 0.0 else 0.0) + max_age_s
             distance_m = dist(motion.position_enu_m, before.packet.motion.position_enu_m)
-            if distance_m > self._limits.speed_m_s * elapsed_s + JUMP_MARGIN_M:
+            if distance_m > limits.speed_m_s * elapsed_s + JUMP_MARGIN_M:
                 return Code.PEER_POSITION_JUMPED
         self._streams[vehicle_id] = stream
         if beacon is not None and beacon.epoch > epochs_up_to:
             packet, beacon = self._without_leader(packet), None
-        (ax, ay, az), (sx, sy, sz) = motion.acceleration_enu_m_s2, packet.slot.acceleration_enu_m_s2
-        rx, ry, rz = ZERO3 if packet.rft is None else packet.rft[2]
-        own, of_slot, of_rft = ax * ax + ay * ay + az * az, sx * sx + sy * sy + sz * sz, rx * rx + ry * ry + rz * rz
-        most_m_s2 = self._limits.acceleration_m_s2
+        (ax, ay, az), of_slot, rft = motion.acceleration_enu_m_s2, packet.slot.acceleration_enu_m_s2, packet.rft
+        most_m_s2 = limits.acceleration_m_s2
         most_squared = most_m_s2 * most_m_s2
-        if own > most_squared or of_slot > most_squared or of_rft > most_squared:
+        if (
+            ax * ax + ay * ay + az * az > most_squared
+            or (of_slot != ZERO3 and _squared(of_slot) > most_squared)
+            or (rft is not None and _squared(rft[2]) > most_squared)
+        ):
             packet = self._within_limits(packet, most_m_s2)
         measured_s = received_s - stream.late_s - motion.state_age_s
         term = (beacon.epoch, -beacon.claim) if beacon is not None else (0, 0)

@@ -145,9 +145,10 @@ def home_elsewhere(separation_m: float, vehicle: VehicleState) -> Notice | None:
 def _may_be_near(a: Path, b: Path, within_m: float) -> bool:
     """False where one comparison of coordinates shows that the paths are farther apart."""
     around_m = within_m + ROUNDING_M
-    for axis in (0, 1):
-        low, high = min(a[0][axis], a[1][axis]) - around_m, max(a[0][axis], a[1][axis]) + around_m
-        if max(b[0][axis], b[1][axis]) < low or min(b[0][axis], b[1][axis]) > high:
+    for a0, a1, b0, b1 in zip(*a, *b, strict=True):  # east, then north
+        low, high = (a0, a1) if a0 < a1 else (a1, a0)
+        low, high = low - around_m, high + around_m
+        if (b0 < low and b1 < low) or (b0 > high and b1 > high):
             return False
     return True
 
@@ -180,5 +181,8 @@ def _off(point: tuple[float, float], path: Path) -> float:
     east, north = x1 - x0, y1 - y0
     squared = east * east + north * north
     share = ((x - x0) * east + (y - y0) * north) / squared if squared > 0.0 else 0.0
-    share = min(max(share, 0.0), 1.0)
+    if share < 0.0:
+        share = 0.0
+    elif share > 1.0:
+        share = 1.0
     return hypot(x - x0 - share * east, y - y0 - share * north)

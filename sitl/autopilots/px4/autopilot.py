@@ -63,6 +63,7 @@ class Px4Mode(Enum):
         return Task.SINK if self in NEED_A_PILOT else _TASKS.get(self, Task.HOLD)
 
 
+OFFBOARD = Px4Mode.OFFBOARD  # member lookup of an enum is slow, and every step needs it
 # There is no remote control, so these cannot fly the vehicle.
 NEED_A_PILOT = frozenset({Px4Mode.MANUAL, Px4Mode.ALTCTL, Px4Mode.POSCTL, Px4Mode.ACRO, Px4Mode.STABILIZED})
 _TASKS = {Px4Mode.TAKEOFF: Task.TAKE_OFF, Px4Mode.LAND: Task.LAND, Px4Mode.RTL: Task.RETURN}
@@ -258,11 +259,11 @@ class Px4(Autopilot):
 
     def _control(self, control_is_due: bool) -> None:
         newest = self._stream.newest
-        if self.mode is Px4Mode.OFFBOARD and isinstance(newest, AttitudeSetpoint):
+        if self.mode is OFFBOARD and isinstance(newest, AttitudeSetpoint):
             self.setpoint = newest
         elif not control_is_due:
             return
-        elif self.mode is Px4Mode.OFFBOARD and isinstance(newest, Course):
+        elif self.mode is OFFBOARD and isinstance(newest, Course):
             self.setpoint = self._automatic.follow(newest, self._control_dt_s)
         elif self.mode is Px4Mode.POSCTL and self._incidents.course is not None:
             self.setpoint = self._automatic.follow(self._incidents.course, self._control_dt_s)
@@ -291,14 +292,14 @@ class Px4(Autopilot):
             self._activate_failsafe("LOITER", f": entering Hold for {hold_s:.0f} seconds")
         elif not self.has_position and self.mode in NEED_A_POSITION:
             self._activate_failsafe("LAND")
-        elif self.mode is Px4Mode.OFFBOARD:
+        elif self.mode is OFFBOARD:
             gap_s = self.time_s - self._stream.newest_s
             if check_is_due and gap_s > self.parameters["COM_OF_LOSS_T"] + STREAM_LOST_GRACE_S:
                 self._activate_failsafe(self.data.setpoints_lost.get(int(self.parameters["COM_OBL_RC_ACT"]), "POSCTL"))
-        elif self.intended_mode is Px4Mode.OFFBOARD and self._stream_is_back():
+        elif self.intended_mode is OFFBOARD and self._stream_is_back():
             # PX4 re-enters OFFBOARD without a command when setpoints come again.
             self.failsafe = False
-            self._switch(Px4Mode.OFFBOARD)
+            self._switch(OFFBOARD)
 
     def _stream_is_back(self) -> bool:
         return self.streaming and self.time_s - self._stream.since_s >= STREAM_BACK_AFTER_S

@@ -159,3 +159,24 @@ def test_killing_the_parent_ends_the_workers(tmp_path: Path) -> None:
     parent.kill()
     parent.wait()
     until(lambda: not any(map(is_alive, pids)), 2.0)
+
+
+LARGE_JOBS = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from test_workers import sleep_with
+from sitl.workers import LocalWorkers
+if __name__ == "__main__":
+    with LocalWorkers(1).running(sleep_with, [bytes(300_000)] * 6) as in_progress:
+        in_progress.wait(1.0)
+"""
+
+
+def sleep_with(_job: bytes) -> None:
+    time.sleep(600.0)
+
+
+def test_jobs_that_no_pipe_can_hold_end_as_well(tmp_path: Path) -> None:
+    script = tmp_path / "large_jobs.py"
+    script.write_text(LARGE_JOBS)
+    subprocess.run([sys.executable, str(script), str(Path(__file__).parent)], check=True, timeout=60.0)
