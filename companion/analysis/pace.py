@@ -7,7 +7,7 @@ from itertools import combinations
 from math import dist, inf, radians, tan
 
 from companion.analysis.compression import ROUNDING, Chain, ClosestPair, refused_cases, slower_by
-from companion.analysis.response import USUAL_DRAG_1_S
+from companion.analysis.response import USUAL_DRAG_1_S, reached_from
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
 from companion.config.planned_flight import neighbour_graph
@@ -36,6 +36,9 @@ def following_steps(
     slots_m = {i: to_separation_metric(slot, fleet.law.altitude == "formation") for i, slot in slots_enu_m.items()}
     if min(dist(a, b) for a, b in combinations(slots_m.values(), 2)) < fleet.separation_m * (1.0 - ROUNDING):
         return None  # refused by themselves
+    if ids := ", ".join(map(str, unreached(fleet, slots_enu_m))):
+        text = f"no path leads from a leader to vehicle {ids}, which would not follow it; add an edge or more range"
+        return Problem(where, text)
     chains = chains_of(fleet, law, slots_enu_m, drag_1_s)
     yield
     try:
@@ -61,6 +64,12 @@ def chains_of(fleet: FleetConfig, law: Law, slots_enu_m: Mapping[int, Vector3], 
     envelope = fleet.envelope
     most_m_s2 = GRAVITY_M_S2 * tan(radians(envelope.max_tilt_deg))
     return (Chain(law, graph, of, drag_1_s, envelope.max_speed_m_s, most_m_s2, slots_enu_m) for of in leaders)
+
+
+def unreached(fleet: FleetConfig, positions_enu_m: Mapping[int, Vector3]) -> list[int]:
+    """The vehicles without a path to a leader, at these positions."""
+    graph = neighbour_graph(fleet.neighbours, positions_enu_m)
+    return sorted(set(graph) - reached_from(graph, [m.id for m in fleet.vehicles if m.role is Role.LEADER]))
 
 
 def _outcome(pair: ClosestPair, fleet: FleetConfig) -> str:

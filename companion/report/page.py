@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime, tzinfo
+from datetime import UTC, datetime, tzinfo
 from typing import TypeVar
 
 import jinja2
@@ -35,13 +35,16 @@ from companion.report.track_figures import draw_topology, draw_tracks
 
 SIGNS = {Severity.CRITICAL: "✖", Severity.WARNING: "▲", Severity.INFO: "●"}  # distinct without colour
 MOST_EVENTS, MOST_COMMANDS, MOST_EDGES, MOST_MARKS = 400, 1000, 40, 20
+FIRST_DATE_UNIX_S = 946684800.0  # of 2000: a clock that was never set is in 1970 or 1980, a virtual one begins in 1970
 Section = tuple[str, list[DrawnFigure]]
 Timed = TypeVar("Timed", FlightEvent, GivenCommand)
 
 
 def page_of(one: JudgedFlight, zone: tzinfo) -> str:
     """Draws the figures and writes the page. `zone`: of the local times."""
-    axis = TimeAxis(one.flight.ends_s, one.flight.begin_unix_s, zone, marks_of(rows_of(one.summary.findings)))
+    begin_unix_s = one.flight.begin_unix_s
+    zone = zone if begin_unix_s >= FIRST_DATE_UNIX_S else UTC
+    axis = TimeAxis(one.flight.ends_s, begin_unix_s, zone, marks_of(rows_of(one.summary.findings)))
     return page(one.flight, one.summary, sections_of(one, axis), axis)
 
 
@@ -52,15 +55,15 @@ def page(flight: FlightRecords, summary: FlightSummary, sections: Sequence[Secti
     rows = rows_of(summary.findings)
     commands = _by_time({vehicle.vehicle_id: vehicle.commands for vehicle in flight.vehicles})
     events = _by_time({vehicle.vehicle_id: vehicle.events for vehicle in flight.vehicles})
-    begin = datetime.fromtimestamp(axis.begin_unix_s, axis.zone)
+    date, zone = _date_and_zone(axis)
     return environment.get_template("report.html.j2").render(
         flight=flight,
         summary=summary,
         rows=rows,
         verdict=verdict(rows),
         sections=sections,
-        date=f"{begin:%A, %d %B %Y}",
-        zone=f"{begin:UTC%z}"[:6] + ":" + f"{begin:%z}"[3:5],
+        date=date,
+        zone=zone,
         counts=[(severity, count(rows, severity)) for severity in Severity],
         commands=commands[:MOST_COMMANDS],
         commands_left_out=max(0, len(commands) - MOST_COMMANDS),
@@ -72,6 +75,13 @@ def page(flight: FlightRecords, summary: FlightSummary, sections: Sequence[Secti
         limits={"late_p99_ms": LATE_P99_MS, "to_command_p99_ms": TO_COMMAND_P99_MS},
         software=__version__,
     )
+
+
+def _date_and_zone(axis: TimeAxis) -> tuple[str, str]:
+    begin = datetime.fromtimestamp(axis.begin_unix_s, axis.zone)
+    if axis.begin_unix_s < FIRST_DATE_UNIX_S:
+        return "Without a date", "virtual time, or a clock that was never set"
+    return f"{begin:%A, %d %B %Y}", f"{begin:UTC%z}"[:6] + ":" + f"{begin:%z}"[3:5]
 
 
 def marks_of(rows: Sequence[FindingRow]) -> tuple[tuple[float, str], ...]:

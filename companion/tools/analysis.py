@@ -174,7 +174,7 @@ def analyse(subject: Subject) -> Analysis:
     fleet = subject.fleet
     ids = sorted(member.id for member in fleet.vehicles)
     leaders = [member.id for member in fleet.vehicles if member.role is Role.LEADER]
-    graph = neighbour_graph(fleet.neighbours, _flying_positions(subject))
+    graph = neighbour_graph(fleet.neighbours, subject.flying_enu_m)
     unreached = sorted(set(ids) - reached_from(graph, leaders))
     graphs = flown_graphs(graph, graph_in_slots(fleet), leaders)
     if len(subject.kinds) > 1 and not unreached:
@@ -235,11 +235,6 @@ def _second_edges(subject: Subject, graph: Graph, leaders: Collection[int]) -> S
 
     gains = gains_of(graph) if isinstance(subject.fleet.neighbours, EdgeNeighbours) else None
     return second_edges(graph, leaders, gains, gains_of) if gains else None
-
-
-def _flying_positions(subject: Subject) -> dict[int, Vector3]:
-    """Positions at the beginning of the formation: above the start positions."""
-    return {i: (x, y, z + subject.fleet.takeoff_height_m) for i, (x, y, z) in subject.starts_enu_m.items()}
 
 
 def _law_analysis(subject: Subject, graphs: Sequence[Graph], leaders: Collection[int], name: LawName) -> LawAnalysis:
@@ -387,7 +382,7 @@ def _worst_transient_peak(coupling: Coupling, model: LinearModel) -> float | Non
 
 def _start_errors_m(subject: Subject) -> NDArray[np.float64]:
     """e_i = x_i - r - d_i0 at the start (n, 3), in ascending order of the ids."""
-    positions = _flying_positions(subject)
+    positions = subject.flying_enu_m
     slots = {member.id: member.slot_enu_m for member in subject.fleet.vehicles}
     rows = [np.subtract(np.subtract(positions[i], subject.reference_enu_m), slots[i]) for i in sorted(slots)]
     return np.array(rows, dtype=float)

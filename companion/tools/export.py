@@ -20,6 +20,7 @@ from msgspec.structs import fields
 
 from companion.config.validation import alternatives
 from companion.recording.alignment import RecordingClock, align
+from companion.recording.mcap_file import Warn
 from companion.recording.reader import Recording, recordings
 from companion.recording.records import DECISION, STATUS, DecisionRecord
 from companion.tools.output import complete_or_absent
@@ -137,15 +138,22 @@ def export(folder: Path, out: Path) -> Iterator[Written]:
     `time_s` is since the first record of the flight, `unix_s` the same by the date of the first vehicle. Both are common to all
     vehicles, as far as their clocks can be compared.
     """
-    found = [one for one in recordings(folder, _warn) if one.vehicle_id]
+    warned = set[str]()  # a file is read once for each of its CSV files, and its damage reported once
+
+    def warn(line: str) -> None:
+        if line not in warned:
+            warned.add(line)
+            print(line, file=sys.stderr)
+
+    found = [one for one in recordings(folder, warn) if one.vehicle_id]
     if not found:
         raise UnusableError(
             f"{printable(str(folder))}: only the ground recorded here; there are no decisions to export"
         )
-    clocks = align(found, _warn)
+    clocks = align(found, warn)
     for one, clock in zip(found, clocks, strict=True):
         if len(found) > 1 and not clock.is_aligned:
-            _warn(
+            warn(
                 f"{one.name}: its clock cannot be compared with the others, by packets in both directions; its date is used"
             )
     begin_s = min(clock.common_s(one.header.monotonic_s) for one, clock in zip(found, clocks, strict=True))
@@ -153,7 +161,7 @@ def export(folder: Path, out: Path) -> Iterator[Written]:
         out.mkdir(parents=True, exist_ok=True)
         for name, one, clock in zip(_names(found), found, clocks, strict=True):
             for kind in KINDS:
-                yield _write(out / f"{name}_{kind.name}.csv", one, clock, begin_s, kind)
+                yield _write(out / f"{name}_{kind.name}.csv", one, clock, begin_s, kind, warn)
     except OSError as error:
         raise UnusableError(f"{printable(str(error.filename or out))}: cannot be written: {error.strerror}") from error
 
@@ -170,18 +178,16 @@ def _names(found: Sequence[Recording]) -> list[str]:
     return names
 
 
-def _write(path: Path, recording: Recording, clock: RecordingClock, begin_s: float, kind: CsvKind) -> Written:
+def _write(
+    path: Path, recording: Recording, clock: RecordingClock, begin_s: float, kind: CsvKind, warn: Warn
+) -> Written:
     """Raises OSError."""
     rows = 0
     with complete_or_absent(path) as file:
         writer = csv.writer(file)
         writer.writerow((*TIME_COLUMNS, *kind.columns))
-        for message in recording.read([kind.topic], _warn):
+        for message in recording.read([kind.topic], warn):
             common_s = clock.common_s(message.now_s)
             writer.writerow((round(common_s - begin_s, DIGITS), round(common_s, DIGITS), *kind.cells(message.value)))
             rows += 1
     return Written(path, rows)
-
-
-def _warn(line: str) -> None:
-    print(line, file=sys.stderr)

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct, field, structs
 
+from companion.analysis.pace import unreached
 from companion.analysis.response import (
     AUTOPILOT_STEP_S,
     ON_BOARD_S,
@@ -26,7 +27,7 @@ from companion.config.fleet_check import fleet_problems
 from companion.config.named_files import changed, read_named
 from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
 from companion.config.reference import Reference
-from companion.config.validation import Problem, each, examine, unless_invalid
+from companion.config.validation import INVALID, Problem, each, examine, unless_invalid
 from companion.config.values import VehicleId, overlaid
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import ZERO3, Vector3
@@ -114,6 +115,11 @@ class Subject(Struct, frozen=True, kw_only=True):
         """That of all vehicles, as they are analysed."""
         return next(iter(self.kinds))
 
+    @property
+    def flying_enu_m(self) -> dict[int, Vector3]:
+        """Positions at the beginning of the formation."""
+        return _flying_at(self.starts_enu_m, self.fleet)
+
     def model(self, link_s: float) -> LinearModel:
         """The model of its vehicles with this link."""
         return flown_model(self.kind.autopilot, link_s, self.kind.drag_1_s, self.on_board_s)
@@ -200,8 +206,15 @@ def _problems(part: _ScenarioPart) -> Iterator[Problem]:
     yield from each(_stand_in_problems(part.stand_in, "stand_in"))
     fleet = fleet_of(part.fleet)
     yield from planned_problems(part, fleet, unless_invalid(lambda: _starts(part, fleet)))
-    if part.reference:
+    # What no leader reaches follows no reference: then the verdict is about the graph.
+    lost = unless_invalid(lambda: unreached(fleet, _flying_at(_starts(part, fleet), fleet)))
+    if part.reference and (lost is INVALID or not lost):
         yield from each(flyable_problems(fleet, part.reference))
+
+
+def _flying_at(starts_enu_m: Mapping[int, Vector3], fleet: FleetConfig) -> dict[int, Vector3]:
+    """Above the start positions."""
+    return {i: (x, y, z + fleet.takeoff_height_m) for i, (x, y, z) in starts_enu_m.items()}
 
 
 def _not_read(data: Any, fleet: FleetConfig, where: str) -> list[str]:

@@ -244,7 +244,7 @@ def summarize(
         seed=stand_in.seed if is_true else None,
         failure=end.failure,
         flight_s=round(end.flight_s, 1),
-        real_time_factor=_rounded(end.real_time_factor, 1),
+        real_time_factor=_rounded(end.real_time_factor, 3),
         pairs=[pair_name(pair) for pair in neighbouring_pairs(slots_enu_m)],
         **{figure: _rounded(getattr(figures, figure, None), DIGITS.get(figure, 4)) for figure in FIGURES},
         overload=watch.overload(),

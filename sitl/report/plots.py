@@ -138,7 +138,9 @@ def draw_distances(axes: Axes, flight: FormationFlight) -> None:
     for value_m in wanted_m:
         axes.axhline(value_m, **GUIDE)
     if wanted_m:
-        axes.plot([], [], **GUIDE, label="wanted, " + " and ".join(f"{value_m:.2f} m" for value_m in wanted_m))
+        axes.plot(
+            [], [], **GUIDE, label="wanted, " + " and ".join(dict.fromkeys(f"{value_m:.2f} m" for value_m in wanted_m))
+        )
         _legend_of_distances(axes, len(flight.pairs))
     dress_time(axes, since_s)
 

@@ -118,8 +118,9 @@ def in_words(summary: RunSummary) -> str:
     lines.extend(_answers_in_words(summary))
     lines.extend(_ticks_in_words(summary))
     lines.extend(_overload_lines(summary))
-    if summary.real_time_factor is not None:
-        lines.append(f"  virtual time      {summary.real_time_factor:.0f} times as fast as real time")
+    if (factor := summary.real_time_factor) is not None:
+        times = f"{factor:.0f}" if factor >= 10.0 else f"{factor:.2g}"  # large fleets are slower than real time
+        lines.append(f"  virtual time      {times} times as fast as real time")
     return "\n".join(lines)
 
 

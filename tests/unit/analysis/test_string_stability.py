@@ -17,7 +17,11 @@ from companion.analysis.margins import (
 )
 from companion.analysis.prediction import errors_over_time, worst_transient_peak
 from companion.analysis.response import LinearModel, flown_model
+from companion.assembly import flyable_problems
 from companion.cli.main import main
+from companion.config.file import convert
+from companion.config.fleet import FleetConfig
+from companion.config.reference import Reference
 from companion.laws._neighbour_feedback import NeighbourFeedback
 from companion.tools.analysis import analyse
 from companion.tools.analysis_report import report, verdict
@@ -285,6 +289,23 @@ def test_zero_start_errors_are_analyzed(tmp_path: Path) -> None:
     (tmp_path / "scenario.yaml").write_text(yaml.safe_dump(data))
     law = analyse(load_subject(tmp_path / "scenario.yaml")).laws["weighted"]
     assert (law.transient_peak, law.time_to_10_cm_s, law.predicted_settle_s) == (1.0, 0.0, 0.0)
+
+
+def test_the_graph_is_judged_before_the_reference(capsys: pytest.CaptureFixture[str]) -> None:
+    """A missing edge is no reference that cannot be followed."""
+    assert (
+        main(["analyze", str(SCENARIOS / "ring_figure_8.yaml"), "--set", "fleet.neighbours.edges=[[1, 2], [3, 4]]"])
+        == 1
+    )
+    assert "NO_PATH_TO_LEADER: cannot converge: no path leads from a leader to vehicle 3, 4" in capsys.readouterr().out
+
+
+def test_a_reference_of_vehicles_without_a_path_is_refused_for_that() -> None:
+    content = yaml.safe_load((SCENARIOS / "ring_figure_8.yaml").read_text(encoding="utf-8"))
+    content["fleet"]["neighbours"]["edges"] = [[1, 2], [3, 4]]
+    fleet = convert(Path("fleet.yaml"), content["fleet"], FleetConfig)
+    (problem,) = flyable_problems(fleet, convert(Path("fleet.yaml"), content["reference"], Reference))
+    assert problem.text.startswith("no path leads from a leader to vehicle 3, 4, which would not follow it")
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from datetime import timedelta, timezone
 from html.parser import HTMLParser
@@ -149,6 +150,14 @@ def test_the_findings_lead_the_page_with_local_times(html: str, page: Page) -> N
     assert "1 critical finding and 2 warnings" in html
     assert "UTC+02:00" in html
     assert "18:00:20" in html  # BEGIN_UNIX_S is 16:00 UTC; the encounter begins at 20 s
+
+
+def test_a_flight_in_virtual_time_has_no_date() -> None:
+    """Its clock begins at 0, which a date would show as 1970."""
+    text = page_of(judge(dataclasses.replace(flight_of(records_of(1, 24.0)), begin_unix_s=0.0)), ZONE)
+    assert "1970" not in text
+    assert "Without a date, 00:00:00 to 00:00:" in text
+    assert "(virtual time, or a clock that was never set)" in text
 
 
 def test_the_page_of_a_vehicle_alone_has_no_figure_of_pairs() -> None:

@@ -160,6 +160,15 @@ def test_vehicles_have_one_time(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "vehicle 1: its clock cannot be compared" in capsys.readouterr().err
 
 
+def test_damage_is_reported_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record(tmp_path / "vehicle_1_0001_001.mcap")
+    data = (tmp_path / "vehicle_1_0001_001.mcap").read_bytes()
+    (tmp_path / "vehicle_1_0001_001.mcap").write_bytes(data[:-40])
+    assert main(["export", str(tmp_path)]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "without its end" in line
+
+
 def test_what_cannot_be_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", str(tmp_path)]) == 2
     assert "no recordings here" in capsys.readouterr().err

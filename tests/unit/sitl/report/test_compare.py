@@ -96,6 +96,12 @@ def test_the_smallest_error_is_reported_when_the_reference_moves(first_within_s:
     assert "settled to 10 cm" not in rows
 
 
+@pytest.mark.parametrize(("factor", "times"), [(153.4, "153"), (4.23, "4.2"), (0.034, "0.034")])
+def test_virtual_time_may_be_slower_than_real_time(factor: float, times: str) -> None:
+    flown = msgspec.structs.replace(summary("weighted", 1.78, 26.1), real_time_factor=factor)
+    assert in_words(flown).splitlines()[-1] == f"  virtual time      {times} times as fast as real time"
+
+
 def test_the_summary_of_a_flight_is_printed_in_lines() -> None:
     assert in_words(summary("weighted", 1.784, 26.1)).splitlines() == [
         "platoon, weighted: flown and landed in 93 s",

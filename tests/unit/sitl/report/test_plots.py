@@ -1,5 +1,6 @@
 """Figures are written as PNG, with titles, units and legends."""
 
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -69,6 +70,12 @@ def test_figure_6_has_the_pairs_and_the_wanted_distance(tmp_path: Path, drawn: l
         "wanted, 1.50 m",
     ]
     assert drawn[0].axes[0].get_ylabel() == "distance [m]"
+
+
+def test_distances_that_look_alike_are_named_once(tmp_path: Path, drawn: list[Figure]) -> None:
+    slots = {1: (0.0, 0.0, 0.0), 2: (-1.5, 0.0, 0.0), 3: (-3.001, 0.0, 0.0), 4: (-4.501, 0.0, 0.0)}
+    save_figure_6(tmp_path / "f.png", replace(flight("average_22"), slots=stand_at(slots)), "platoon")
+    assert [entry for entry in legend_of(drawn[0]) if "wanted" in entry] == ["wanted, 1.50 m"]
 
 
 def test_a_comparison_has_a_column_for_each_law(tmp_path: Path, drawn: list[Figure]) -> None:
