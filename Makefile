@@ -14,7 +14,7 @@ PIP_INSTALL = pip install --quiet --disable-pip-version-check --constraint const
 # times the CPU time and 10 MB more memory, and a worker collects the tests in 2.8 times the time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help fly setup test test-fast test-virtual test-real-time test-page test-again test-long test-new-inputs tick check format docs clean
+.PHONY: help fly setup test test-fast test-virtual test-real-time test-page page-needs test-again test-long test-new-inputs tick check format docs clean
 
 help:
 	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
@@ -22,6 +22,7 @@ help:
 	@echo "make setup      only installs the project and its ground tools into .venv"
 	@echo "make test       the tests, real fleets included; make test-fast leaves the fleets out"
 	@echo "make test-virtual, test-real-time, test-page  one part: virtual time; real processes; the live page (apt install chromium)"
+	@echo "                SKIP_PAGE=1 leaves the live page out of make test"
 	@echo "make test-again the tests that failed in the last make test once more, one at a time"
 	@echo "make test-long  the flights that make test leaves out, and the tests of the laboratory (half an hour)"
 	@echo "make test-new-inputs  random inputs that no run before has tried, for every night; make test has the same in every run"
@@ -42,12 +43,18 @@ setup: .venv/fly.ready
 # while its processes were starved runs once more after the others; one that fails again while the hypervisor takes the
 # processors is NOT JUDGED. Tests in virtual time do not depend on the load of the machine. Tests of one file
 # share flights: each file has one worker, and the long ones come first, so that both workers end together.
-VIRTUAL_TESTS = $(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations 25 -m "not long" tests/lockstep tests/unit
-REAL_TIME_TESTS = $(BIN)/pytest -v -n 4 --dist loadscope --no-loadscope-reorder --durations 60 -m "$(KINDS)"
+VIRTUAL_TESTS = $(BIN)/pytest -q -r fEs -n 2 --dist loadfile --no-loadscope-reorder --durations 25 -m "not long" tests/lockstep tests/unit
+REAL_TIME_TESTS = $(BIN)/pytest -v -r fEs -n 4 --dist loadscope --no-loadscope-reorder --durations 60 -m "$(KINDS)"
 KINDS = not long
 
+ifeq ($(SKIP_PAGE),1)
 test: .venv/test.ready
+	@$(MAKE) --no-print-directory -j 1 --keep-going test-real-time test-virtual; ended=$$?; \
+		echo "SKIPPED: the live page, tests/page (SKIP_PAGE=1)"; exit $$ended
+else
+test: page-needs .venv/test.ready
 	@$(MAKE) --no-print-directory -j 1 --keep-going test-real-time test-page test-virtual
+endif
 
 test-fast: .venv/test.ready
 	@$(MAKE) --no-print-directory -j 1 --keep-going test-real-time test-virtual KINDS='not fleet and not long'
@@ -58,9 +65,14 @@ test-virtual: .venv/test.ready
 test-real-time: .venv/test.ready
 	$(REAL_TIME_TESTS) tests/fleet tests/faults tests/protocol
 
-# The live page in Debian's Chromium, skipped without it. Its drawing would starve real flights beside it.
-test-page: .venv/test.ready
+# The live page in Debian's Chromium. Its drawing would starve real flights beside it.
+test-page: page-needs .venv/test.ready
 	$(BIN)/pytest -q -n 2 --dist loadfile tests/page
+
+export CHROMIUM ?= /usr/bin/chromium
+page-needs:
+	@test -x $(CHROMIUM) || { echo "The live page is tested in Chromium, and $(CHROMIUM) is missing: sudo apt install chromium" \
+		"(or CHROMIUM=PATH); make test SKIP_PAGE=1 leaves it out"; exit 1; }
 
 # Where a machine is shared with strangers, a failure may be the machine's: what failed in the last `make test`, alone.
 test-again: .venv/test.ready

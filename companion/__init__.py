@@ -1,4 +1,17 @@
 """The formation companion: the agent that runs on each vehicle, and its ground tools."""
 
+import sys
+from pathlib import Path
+
 __version__ = "0.1.0"
-GROUND_INSTALL = "pip install '.[ground]' in the project's folder"  # it is in no package index
+
+
+def how_to_install(extra: str) -> str:
+    """Advice for this installation. The project is in no package index: only its source tree can be installed."""
+    source = Path(__file__).parents[1]
+    if (source / "pyproject.toml").is_file():
+        return f"{sys.executable} -m pip install '{source}[{extra}]'"
+    return f"it was left out of this installation; use a computer with the source tree, and install its extra [{extra}]"
+
+
+GROUND_INSTALL = how_to_install("ground")

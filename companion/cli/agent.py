@@ -19,10 +19,9 @@ def _run_agent(options: argparse.Namespace) -> int:
     and sends no setpoint before a command.
 
     examples:
-      companion agent --config config/vehicles/simulation-1.yaml
       companion agent --config /etc/companion/vehicle-3.yaml --wait-s 60
 
-    The vehicle file names the autopilot and the peers (examples: config/vehicles/):
+    The vehicle file names the autopilot and the peers (examples: config/vehicles/ of the source tree):
       mavlink: udpin:0.0.0.0:14540             listen where the autopilot sends (PX4's onboard link)
       mavlink: tcp:192.168.1.20:5760           connect
       mavlink: serial:/dev/ttyAMA0:921600      a telemetry port of the flight controller

@@ -10,14 +10,23 @@ from companion.cli.options import add_json, add_law, add_overrides
 from companion.cli.program import command
 from companion.types.errors import EXIT_DONE, UnusableError
 
+SHIPPED = Path(__file__).parents[2] / "sitl" / "scenarios"
 EXIT_CONVERGES, EXIT_CANNOT_CONVERGE = 0, 1
 
 
 def _add_analyze(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, metavar="FILE", help="a scenario or fleet file (YAML)")
+    parser.add_argument(
+        "file", type=Path, metavar="FILE", help="a scenario or fleet file (YAML), or the name of a shipped scenario"
+    )
     add_law(parser, "analyze it with this law")
     add_overrides(parser, "change one key of the file")
     add_json(parser, "all figures as one JSON object instead of the text")
+
+
+def _file(given: Path) -> Path:
+    """A shipped scenario may be given by its name."""
+    shipped = SHIPPED / f"{given}.yaml"
+    return shipped if not given.suffix and not given.exists() and shipped.is_file() else given
 
 
 def _run_analyze(options: argparse.Namespace) -> int:
@@ -26,9 +35,9 @@ def _run_analyze(options: argparse.Namespace) -> int:
     and smallest distances to expect, and a verdict.
 
     examples:
-      companion analyze config/scenarios/platoon.yaml
-      companion analyze config/scenarios/platoon.yaml --law lab/my_law.py
-      companion analyze config/scenarios/chain_16.yaml --set fleet.law.parameters.weight_ratio=0.1
+      companion analyze platoon                          a scenario of `sitl scenarios`
+      companion analyze platoon --law my_law.py
+      companion analyze chain_16 --set fleet.law.parameters.weight_ratio=0.1
       companion analyze /etc/companion/fleet.yaml --json | jq '.laws.weighted.lambda_min'
 
     A scenario defines the start positions and the reference; a fleet file alone is analyzed for a
@@ -55,7 +64,7 @@ def _run_analyze(options: argparse.Namespace) -> int:
     from companion.tools.subject import load_subject
 
     overrides = [*([law_override(options.law)] if options.law else []), *options.overrides]
-    analysis = analyse(load_subject(options.file, overrides))
+    analysis = analyse(load_subject(_file(options.file), overrides))
     if options.json:
         figures = msgspec.to_builtins(analysis) | {"verdict": msgspec.to_builtins(verdict(analysis))}
         print(json_text(figures))

@@ -26,6 +26,7 @@ from companion.types.errors import EXIT_UNUSABLE, EndingError, UnusableError
 EXIT_INTERRUPTED = 130
 EXIT_READER_GONE = 141  # as shells count: 128 and SIGPIPE's number
 STDOUT, STDERR = 1, 2
+OWN = ("", "companion", "sitl", "tests")  # an import inside these that fails is a defect
 SHELLS = ("bash", "zsh")
 FILES_OF_SHELLS = {"bash": "_shtab_compgen_files", "zsh": "_files"}
 
@@ -102,7 +103,14 @@ class Program:
     def _run(self, options: argparse.Namespace) -> int:
         chosen: CliCommand = options.chosen
         chosen.check_installed(self.name)
-        return chosen.run(options)
+        try:
+            return chosen.run(options)
+        except ImportError as error:
+            package = (error.name or "").partition(".")[0]
+            if package in OWN or package in sys.stdlib_module_names:
+                raise
+            reason = "is not installed" if isinstance(error, ModuleNotFoundError) else f"cannot be used: {error}"
+            raise UnusableError(f"{self.name} {chosen.name}: {package} {reason}; {GROUND_INSTALL}") from error
 
     def parser(self, only: str | None = None) -> argparse.ArgumentParser:
         """All commands, with their arguments. With `only` that command alone has them: the others would load modules."""

@@ -118,11 +118,38 @@ def read_yaml(path: Path) -> Any:
     try:
         return yaml.load(text, Loader=StrictLoader)
     except yaml.MarkedYAMLError as error:
-        line = f"line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise ConfigError(path, line, f"not valid YAML: {cut(str(error.problem), LONGEST_YAML_ERROR)}") from error
+        mark = error.problem_mark
+        place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        raise ConfigError(path, place, f"not valid YAML: {_yaml_in_words(error)}") from error
     except yaml.YAMLError as error:
         problem = cut(" ".join(str(error).split()), LONGEST_YAML_ERROR)
         raise ConfigError(path, "", f"not valid YAML: {problem}") from error
+
+
+YAML_WORDS = (
+    (r"character '\\t'", "a tab, where YAML wants spaces"),
+    (
+        "mapping values are not allowed",
+        "no colon can be here: this line is indented too far, or the line above has no colon",
+    ),
+    (
+        "<block end>|<document start>",
+        "this line is not indented like those of its section, or a value goes on after its end",
+    ),
+    ("expected ',' or", "a bracket is not closed, or a comma is missing"),
+    ("unexpected end of stream", "a quote is not closed"),
+    ("cannot start any token", "a text that begins with this character needs quotes"),
+)
+
+
+def _yaml_in_words(error: yaml.MarkedYAMLError) -> str:
+    """The mistakes that are made often, in words for a reader who does not know how YAML is parsed."""
+    problem = str(error.problem)
+    words = next((words for pattern, words in YAML_WORDS if re.search(pattern, problem)), None)
+    if words is None:
+        return cut(problem, LONGEST_YAML_ERROR)
+    begun = error.context_mark
+    return f"{words}, in what begins in line {begun.line + 1}" if begun and "not closed" in words else words
 
 
 def convert(path: Path, data: Any, type_: type[T], check: Callable[[T], Iterable[Problem]] | None = None) -> T:

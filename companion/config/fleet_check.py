@@ -10,7 +10,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from companion.config.file import convert, read_as, refuse
-from companion.config.fleet import EdgeNeighbours, FleetConfig
+from companion.config.fleet import EdgeNeighbours, FleetConfig, GeodeticOrigin
 from companion.config.law import law_problems
 from companion.config.named_files import read_named
 from companion.config.validation import INVALID, Problem, each, unless_invalid
@@ -18,6 +18,7 @@ from companion.config.values import PositionM, Section, VehicleId, is_multicast
 from companion.geometry.airspace import area_m2, crossing_sides
 from companion.geometry.formations import ROUNDING_M, to_separation_metric
 from companion.types.flight import Role
+from companion.types.notices import Code, Notice
 from companion.types.values import Vector3
 
 SMALLEST_AREA_M2 = 1.0
@@ -72,8 +73,35 @@ def start_problems(fleet: FleetConfig, starts_enu_m: Mapping[int, Vector3]) -> I
             yield Problem(
                 f"starts_enu_m.{j}",
                 f"{list(starts_enu_m[j])} is {apart_m:.2f} m from the start of vehicle {i};"
-                f" expected at least {CLOSEST_STARTS_M:g} m",
+                f" expected at least {CLOSEST_STARTS_M:g} m{_degrees(fleet, starts_enu_m[j])}",
             )
+
+
+NEAR_ORIGIN_DEG = 0.5
+METRES = "looks like latitude and longitude; expected metres east, north and up"
+
+
+def degree_notices(fleet: FleetConfig, starts_enu_m: Mapping[int, Vector3]) -> Iterator[Notice]:
+    """A warning about slots and starts that look like latitude and longitude near the origin."""
+    places = {f"slot_enu_m of vehicle {member.id}": member.slot_enu_m for member in fleet.vehicles}
+    places |= {f"starts_enu_m.{i}": start_enu_m for i, start_enu_m in starts_enu_m.items()}
+    if found := [place for place, position_enu_m in places.items() if _is_in_degrees(fleet, position_enu_m)]:
+        more = f", and {len(found) - 1} more like it" if len(found) > 1 else ""
+        yield Notice(Code.LOOKS_LIKE_DEGREES, f"{found[0]}: {list(places[found[0]])} {METRES}{more}")
+
+
+def _is_in_degrees(fleet: FleetConfig, position_enu_m: Vector3) -> bool:
+    """Both numbers have four decimals or more and are near those of the origin, in any order."""
+    if not isinstance(fleet.origin, GeodeticOrigin):
+        return False
+    x, y, _ = position_enu_m
+    of_origin = (fleet.origin.latitude_deg, fleet.origin.longitude_deg)
+    near = any(dist((x, y), pair) < NEAR_ORIGIN_DEG for pair in (of_origin, of_origin[::-1]))
+    return near and all(round(number, 3) != number for number in (x, y))
+
+
+def _degrees(fleet: FleetConfig, position_enu_m: Vector3) -> str:
+    return f"; it {METRES}" if _is_in_degrees(fleet, position_enu_m) else ""
 
 
 def _members(fleet: FleetConfig, where: str) -> Iterator[Problem]:
@@ -156,7 +184,7 @@ def _slots(fleet: FleetConfig, where: str) -> Iterator[Problem]:
             yield Problem(
                 f"{where}[{index}].slot_enu_m",
                 f"{list(member.slot_enu_m)} of vehicle {member.id} is {apart_m:.2f} m from the slot of vehicle {other_id};"
-                f" expected at least separation_m, {separation_m:g} m",
+                f" expected at least separation_m, {separation_m:g} m{_degrees(fleet, member.slot_enu_m)}",
             )
         before.append((member.id, slot))
 

@@ -23,9 +23,14 @@ from companion.types.values import quoted
 
 Arguments = ParamSpec("Arguments")
 T = TypeVar("T")
-YAML_NAMES = {
+PLAIN_WORDS = {
     "object": "a section with keys",
     "array": "a list",
+    "float": "a number",
+    "int": "a whole number",
+    "str": "text",
+    "bool": "true or false",
+    "null": "nothing",
 }  # what messages say instead of msgspec's names for types
 
 
@@ -181,9 +186,8 @@ def _examine_dict(data: dict[Any, Any], type_: Any, field: str) -> tuple[Any, li
 def _of_keys(problems: list[Problem]) -> Problem:
     """The first of them, which stands for all: a file with words for ids has one error, not as many as ids."""
     field, text = problems[0]
-    quotes = "; a number has no quotes" if text.startswith("'") and text[1 : text.find("'", 1)].isdecimal() else ""
     more = f" (and {len(problems) - 1} more like it)" if len(problems) > 1 else ""
-    return Problem(field, f"the key {text}{quotes}{more}")
+    return Problem(field, f"the key {text}{more}")
 
 
 def _examine_list(data: list[Any], type_: Any, field: str) -> tuple[Any, list[Problem]]:
@@ -299,16 +303,43 @@ def _keys_inside(type_: Any, path: str = "") -> dict[str, str]:
 
 
 def _explain(value: Any, type_: Any, problem: str) -> str:
-    """msgspec's "Expected `float`, got `str`" with the value and what is allowed."""
+    """msgspec's "Expected `float`, got `str`" in plain words, with the value and what is allowed."""
     if problem.startswith(("Invalid enum value", "Invalid value")) and (choices := _choices(type_)):
         return f"{quoted(value)}: expected one of {', '.join(choices)}{did_you_mean(value, choices)}"
     if "matching regex" in problem:
         formats = (meta.extra["format"] for meta in _annotations(type_) if meta.extra and "format" in meta.extra)
         if wanted := next(formats, None):
             return f"{quoted(value)}: expected {wanted}"
-    shown = "" if isinstance(value, dict | list) else f"{quoted(value)}: "
-    text = re.sub("`([^`]*)`", lambda found: " or ".join(YAML_NAMES.get(n, n) for n in found[1].split(" | ")), problem)
-    return shown + text[:1].lower() + text[1:] + _as_yaml_number(value)
+    text = in_plain_words(problem)
+    if isinstance(value, dict | list):
+        return text
+    return f"{_as_in_yaml(value)}: {text.partition(', got ')[0]}{_as_yaml_number(value)}{_quotes(value, text)}"
+
+
+def in_plain_words(problem: object) -> str:
+    """A message of msgspec without its names for types."""
+
+    def named(found: re.Match[str]) -> str:
+        parts = (
+            re.sub(r"^\w+", lambda name: PLAIN_WORDS.get(name[0], name[0]), part) for part in found[1].split(" | ")
+        )
+        return " or ".join(parts)
+
+    text = re.sub("`([^`]*)`", named, str(problem).removeprefix("Object "))
+    return text[:1].lower() + text[1:]
+
+
+def _as_in_yaml(value: Any) -> str:
+    if value is None:
+        return "empty"
+    return str(value).lower() if isinstance(value, bool) else quoted(value)
+
+
+def _quotes(value: Any, text: str) -> str:
+    """A hint at quotes that are too many or missing."""
+    if isinstance(value, str) and "number" in text and re.fullmatch(r"[-+]?\d+(\.\d*)?", value):
+        return "; a number has no quotes"
+    return "; put it in quotes" if isinstance(value, int | float) and text.startswith("expected text") else ""
 
 
 def _hint(field: str, key: object, known: Iterable[str], cls: type) -> str:

@@ -16,6 +16,7 @@ from companion.config.fleet_check import check_slots
 from companion.config.planned_flight import ShapeName
 from companion.config.reference import PLACED, Asked, Reference, commanded
 from companion.config.reference_check import reference_problems
+from companion.config.validation import in_plain_words
 from companion.config.values import PositionM
 from companion.geometry.formations import closest_approach, to_separation_metric, turned_slot
 from companion.geometry.vectors import mean, minus, rounded
@@ -106,7 +107,7 @@ def _content(content: Mapping[str, Any], type_: type[T]) -> T:
         # From JSON keys are texts: the ids of slots as well.
         return msgspec.convert(content, type_, strict=True, str_keys=True)
     except msgspec.ValidationError as error:
-        raise OperateError(f"content: {error}") from error
+        raise OperateError(f"content: {in_plain_words(error)}") from error
 
 
 def formation_request(content: FormationContent, fleet: FleetConfig) -> FormationRequest:

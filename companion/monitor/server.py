@@ -22,6 +22,7 @@ from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 from msgspec import Struct
 
+from companion.config.validation import in_plain_words
 from companion.geometry.formations import SHAPES
 from companion.monitor import MonitorError
 from companion.monitor.access import (
@@ -157,7 +158,7 @@ async def _body(request: web.Request, type_: type[T]) -> T | web.Response:
     try:
         return msgspec.json.decode(await request.read(), type=type_)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as problem:
-        return error(400, f"the body is no {type_.__name__}: {problem}"[:300])
+        return error(400, f"the body is no {type_.__name__}: {in_plain_words(problem)}"[:300])
 
 
 PAGE = Path(__file__).parent / "page"

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from companion.config.fleet import FleetConfig
+from companion.config.validation import in_plain_words
 from companion.recording.alignment import RecordingClock, align, of_one_flight
 from companion.recording.reader import Recording, RecordingError, recordings
 from companion.recording.records import (
@@ -178,8 +179,8 @@ def fleet_of(header: Header) -> tuple[FleetConfig | None, tuple[str, ...]]:
         return msgspec.json.decode(header.fleet_file, type=FleetConfig), ()
     except msgspec.MsgspecError as error:
         return None, (
-            f"the fleet file in the recording of vehicle {header.vehicle_id} cannot be used ({error}): distances are"
-            " not judged",
+            f"the fleet file in the recording of vehicle {header.vehicle_id} cannot be used ({in_plain_words(error)}):"
+            " distances are not judged",
         )
 
 

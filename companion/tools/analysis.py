@@ -51,6 +51,7 @@ from companion.analysis.response import (
     settled_prcs,
 )
 from companion.config.fleet import EdgeNeighbours, FleetConfig
+from companion.config.fleet_check import degree_notices
 from companion.config.law import LawName, law_of
 from companion.config.planned_flight import (
     graph_in_slots,
@@ -63,7 +64,7 @@ from companion.laws import Law
 from companion.tools.second_edges import SecondEdges, second_edges
 from companion.tools.subject import STEP_M, Subject
 from companion.types.flight import Role
-from companion.types.notices import Refused
+from companion.types.notices import Notice, Refused
 from companion.types.values import Vector3
 
 # Parameters of any law that analysis knows: what its advice is about.
@@ -159,6 +160,7 @@ class Analysis(Struct, frozen=True, kw_only=True):
     gain_on_average: dict[LawName, float]
     unreached: list[int]  # vehicles without a path to a leader
     second_edges: SecondEdges | None  # that make the string gain of the fleet's law smaller
+    looks_wrong: list[Notice]  # what of the file is probably meant otherwise
     not_read: list[str]  # sections and keys of the file that are not used
     kinds: int  # of vehicles, by autopilot and drag
     like_vehicle: (
@@ -208,6 +210,7 @@ def analyse(subject: Subject) -> Analysis:
         gain_on_average=gain,
         unreached=unreached,
         second_edges=_second_edges(subject, graph, leaders) if laws and laws[fleet.law.name].stable else None,
+        looks_wrong=list(degree_notices(fleet, subject.starts_enu_m)),
         not_read=list(subject.not_read),
         kinds=len(subject.kinds),
         like_vehicle=subject.kinds[subject.kind] if len(subject.kinds) > 1 else None,

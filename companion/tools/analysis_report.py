@@ -95,6 +95,7 @@ def verdict(analysis: Analysis) -> list[Notice]:
 
 
 def _warnings(analysis: Analysis) -> Iterator[Notice]:
+    yield from analysis.looks_wrong
     if analysis.unreached:
         yield Notice(
             Code.NO_PATH_TO_LEADER,

@@ -114,7 +114,7 @@ def _run_fly(parsed: argparse.Namespace) -> int:
       sitl fly platoon --compare              all laws in turn, one table, one figure
       sitl fly platoon --compare average_26   only these two
       sitl fly platoon --autopilot ardupilot  stand-ins that behave like ArduCopter instead of PX4
-      sitl fly four_in_line --external config/external/px4_sih.yaml   four PX4 in their own simulation
+      sitl fly four_in_line --external px4_sih.yaml   four PX4 in their own simulation
       sitl fly platoon --set stand_in.sensors=default --set timeline[3].for_s=20
       sitl fly platoon --set stand_in.airframe.attitude=instant --set stand_in.airframe.motor_lag_s=0
       sitl fly runs/platoon-weighted-20250131-120000/scenario.yaml   repeat a flight exactly
@@ -137,12 +137,13 @@ def _run_fly(parsed: argparse.Namespace) -> int:
       vehicle_N_*.mcap               what the agent of vehicle N received and decided (docs/recording.md)
 
     --external FILE flies the same scenario with agents alone. FILE gives for each vehicle the endpoint of its autopilot,
-    its hover thrust and its drag (see config/external/ and docs/external.md). No command is given before all vehicles are
-    ready: the autopilots' own checks pass, origin and position are known, parameters are in order, and each vehicle is on
-    the ground within 10 m of its starts_enu_m, by fleet.origin, and apart from the others. A vehicle that is armed already,
-    or that its pilot takes over in flight, is left alone. Neither Ctrl-C nor a failure ends the autopilots: the vehicles
-    are landed and left. Their true positions are unknown: estimated_N.csv instead of truth_N.csv holds the positions that
-    each reported in the air, ten times a second, and summary.json has `tracks: estimated`. The stand_in section of the
+    its hover thrust and its drag (px4_sih.yaml and others are in config/external/ of the source tree; docs/external.md). No
+    command is given before all vehicles are ready: the autopilots' own checks pass, origin and position are known,
+    parameters are in order, and each vehicle is on the ground within 10 m of its starts_enu_m, by fleet.origin, and apart
+    from the others. A vehicle that is armed already, or that its pilot takes over in flight, is left alone. Neither Ctrl-C
+    nor a failure ends the autopilots: the vehicles are landed and left. Their true positions are unknown: estimated_N.csv
+    instead of truth_N.csv holds the positions that each reported in the air, ten times a second, and summary.json has
+    `tracks: estimated`. The stand_in section of the
     scenario is not used.
 
     On a busy machine a line after the figures reports it: where more than 0.5 % of the ticks were missed, or an agent took more

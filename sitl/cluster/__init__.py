@@ -6,10 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 
+from companion import how_to_install
 from companion.types.errors import UnusableError
 from sitl.workers import LocalWorkers, Workers
-
-INSTALL = "pip install --editable '.[cluster]' in the project's folder"
 
 
 @contextmanager
@@ -22,7 +21,7 @@ def workers_of(address: str | None, processes: int | None = None) -> Iterator[Wo
         yield LocalWorkers(processes)
         return
     if find_spec("distributed") is None:
-        raise UnusableError(f"--cluster: distributed is not installed; {INSTALL}")
+        raise UnusableError(f"--cluster: distributed is not installed; {how_to_install('cluster')}")
     from sitl.cluster.client import connected
 
     with connected(address) as cluster:

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from common import until
+from companion import GROUND_INSTALL
 from companion.link.fleet.zenoh_session import open_session
 from companion.wire.keys import status_key
 from companion.wire.messages import WIRE_VERSION
@@ -139,8 +140,7 @@ def test_without_its_package_it_names_what_to_install(tmp_path: Path) -> None:
     )
     assert result.returncode == 2
     assert result.stderr == (
-        "companion monitor: the live page needs the package aiohttp: pip install '.[ground]' in the project's folder,"
-        " or use --tui\n"
+        f"companion monitor: the live page needs the package aiohttp: {GROUND_INSTALL}, or use --tui\n"
     )
 
 

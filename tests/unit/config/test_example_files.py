@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import argparse
 from itertools import combinations
 from pathlib import Path
 
@@ -43,10 +43,13 @@ def test_the_monitor_connects_to_simulated_vehicles_by_default() -> None:
             assert set(agent.zenoh.listen) <= set(simulation_endpoints([agent.vehicle.id]))
 
 
-def test_the_examples_in_the_help_exist() -> None:
-    from companion.cli.agent import AGENT
+def test_the_examples_in_the_help_work_in_any_folder() -> None:
+    from companion.cli.main import parser as companion
+    from sitl.cli.main import parser as sitl
 
-    named = re.findall(r"config/vehicles/\S+\.yaml", AGENT.more)
-    assert named
-    for name in named:
-        assert (CONFIG.parent / name).is_file()
+    for program in (companion(), sitl()):
+        (commands,) = (action for action in program._actions if isinstance(action, argparse._SubParsersAction))
+        for name, command in commands.choices.items():
+            lines = (command.epilog or "").splitlines()
+            examples = [line for line in lines if line.startswith(("  companion ", "  sitl "))]
+            assert not [line for line in examples if " config/" in line], name

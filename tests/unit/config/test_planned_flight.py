@@ -77,8 +77,11 @@ def test_slots_above_each_other_need_starts_in_the_file(tmp_path: Path) -> None:
             },
             "fleet.formation: goes with a number of vehicles",
         ),
-        ({"vehicles": 0, "formation": {"shape": "v", "spacing_m": 2}}, "fleet.vehicles: 0: expected int >= 1"),
-        ({"vehicles": "three"}, "fleet.vehicles: 'three': expected int or a list, got str"),
+        (
+            {"vehicles": 0, "formation": {"shape": "v", "spacing_m": 2}},
+            "fleet.vehicles: 0: expected a whole number >= 1",
+        ),
+        ({"vehicles": "three"}, "fleet.vehicles: 'three': expected a whole number or a list"),
         ({"vehicles": 3, "formation": {"shape": "w", "spacing_m": 2}}, "fleet.formation.shape: 'w': expected one of"),
     ],
 )

@@ -270,7 +270,7 @@ def test_settings_of_the_command_line_take_the_place_of_those_of_the_file(capsys
     )
     assert "with fleet.law.name=cooperative, fleet.law.parameters.weight_ratio=0.2" in report(analysis).splitlines()
     assert main(["analyze", str(platoon), "--set", "fleet.law.parameters.weight_ratio=2"]) == 2
-    assert capsys.readouterr().err == "--set: fleet.law.parameters.weight_ratio: 2: expected float <= 1.0\n"
+    assert capsys.readouterr().err == "--set: fleet.law.parameters.weight_ratio: 2: expected a number <= 1.0\n"
 
 
 def test_sections_not_read_are_listed() -> None:

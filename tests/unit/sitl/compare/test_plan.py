@@ -133,7 +133,7 @@ def test_values_are_yaml() -> None:
         ),
         (
             ("links.peer_loss=0,1.5", "fleet.law.parameters.exponent=1,2"),
-            "--vary links.peer_loss=1.5: links.peer_loss: 1.5: expected float <= 1.0",
+            "--vary links.peer_loss=1.5: links.peer_loss: 1.5: expected a number <= 1.0",
         ),
         (
             ("fleet.law.name=weighted,average_22", "fleet.law.parameters.exponent=0,1"),

@@ -1,0 +1,59 @@
+"""A library that is missing or broken is one line, with advice that fits the installation."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import pytest
+
+import companion
+from companion import how_to_install
+from companion.cli.main import main
+from companion.cli.program import Program, command
+from companion.types.errors import UnusableError
+
+
+@pytest.mark.parametrize("words", [["fleet", "status"], ["monitor", "--fleet", "ring"]])
+def test_zenoh_that_is_missing_is_one_line(
+    words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("companion.ground.session", "companion.ground.publishers", "companion.link.fleet.zenoh_session"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setitem(sys.modules, "zenoh", None)
+    assert main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"companion {words[0]}: zenoh is not installed; ")
+
+
+def ended_by(error: ImportError) -> str:
+    def run(_: argparse.Namespace) -> int:
+        """Raise it."""
+        raise error
+
+    program = Program("companion", "", (command("agent", "", lambda _: None, run),), ending=lambda _, run: run())
+    with pytest.raises(UnusableError) as caught:
+        program.main(["agent"])
+    return str(caught.value)
+
+
+def test_a_library_that_cannot_be_loaded_says_why() -> None:
+    error = ImportError("libz.so.1: cannot open shared object file", name="zenoh.zenoh")
+    assert ended_by(error).startswith(
+        "companion agent: zenoh cannot be used: libz.so.1: cannot open shared object file; "
+    )
+
+
+@pytest.mark.parametrize("name", ["companion.core.agent", "tomllib", None])
+def test_a_defect_of_the_program_itself_stays_a_traceback(name: str | None) -> None:
+    with pytest.raises(ImportError):
+        ended_by(ImportError("cannot import name 'x'", name=name))
+
+
+def test_the_advice_fits_the_installation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "companion").mkdir()
+    monkeypatch.setattr(companion, "__file__", str(tmp_path / "companion" / "__init__.py"))
+    assert how_to_install("ground").startswith("it was left out of this installation; ")
+    (tmp_path / "pyproject.toml").write_text("")
+    assert how_to_install("ground").endswith(f" -m pip install '{tmp_path}[ground]'")

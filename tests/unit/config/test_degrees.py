@@ -1,0 +1,48 @@
+"""Latitude and longitude where metres are expected."""
+
+from __future__ import annotations
+
+import pytest
+
+from common import ROOT
+from companion.cli.main import main
+from companion.config.fleet_check import degree_notices
+from companion.types.notices import Code
+from companion.types.values import Vector3
+from sitl.flight.flights import check_convergence
+from sitl.flight.scenario import load_scenario
+
+PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"  # about 47.397742, 8.545594
+LATITUDE_FIRST, LONGITUDE_FIRST = (47.397755, 8.545594, 0.0), (8.545594, 47.397755, 0.0)
+
+
+@pytest.mark.parametrize("start", [LATITUDE_FIRST, LONGITUDE_FIRST])
+def test_a_start_in_degrees_is_a_warning(start: Vector3) -> None:
+    scenario = load_scenario(PLATOON)
+    (notice,) = degree_notices(scenario.fleet, scenario.starts_enu_m | {1: start})
+    assert notice.code is Code.LOOKS_LIKE_DEGREES
+    assert (
+        notice.text
+        == f"starts_enu_m.1: {list(start)} looks like latitude and longitude; expected metres east, north and up"
+    )
+
+
+@pytest.mark.parametrize("start", [(47.4, 8.5456, 0.0), (47.3978, 18.5456, 0.0), (0.3978, 0.5456, 0.0)])
+def test_metres_are_none(start: Vector3) -> None:
+    scenario = load_scenario(PLATOON)
+    assert list(degree_notices(scenario.fleet, scenario.starts_enu_m | {1: start})) == []
+
+
+def test_analyze_and_flights_warn_of_it(capsys: pytest.CaptureFixture[str]) -> None:
+    override = "starts_enu_m.1=[47.397755, 8.545594, 0.0]"
+    assert check_convergence(load_scenario(PLATOON, [override]))[0].code is Code.LOOKS_LIKE_DEGREES
+    assert main(["analyze", "platoon", "--set", override]) == 0
+    assert "- LOOKS_LIKE_DEGREES: starts_enu_m.1: [47.397755" in capsys.readouterr().out
+
+
+def test_a_refusal_for_places_that_are_too_near_says_it(capsys: pytest.CaptureFixture[str]) -> None:
+    slots = [f"fleet.vehicles[{n}].slot_enu_m=[47.39775{n}, 8.545594, 0.0]" for n in (1, 2)]
+    starts = [f"starts_enu_m.{n}=[47.39775{n}, 8.545594, 0.0]" for n in (1, 2)]
+    for given in (slots, starts):
+        assert main(["analyze", "platoon", *(word for line in given for word in ("--set", line))]) == 2
+        assert "; it looks like latitude and longitude; expected metres" in capsys.readouterr().err
