@@ -7,6 +7,7 @@ incidents of a vehicle: estimator resets, battery charges, and a pilot who takes
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import partial
 from math import hypot, inf, nan
 from typing import Any, ClassVar, Protocol
 
@@ -14,6 +15,7 @@ from companion.geometry.frames import enu_from_geodetic, euler_from_quaternion, 
 from companion.types.autopilot import AutopilotKind
 from companion.types.errors import CompanionError
 from companion.types.values import ZERO3, Vector3
+from sitl.autopilots.external_vision import ExternalVision, Pose
 from sitl.autopilots.logs import StandInLogs
 from sitl.autopilots.parameters import AutopilotData, StandInParameters
 from sitl.vehicle.automatic_flight import AutomaticFlight, Course, GroundContact, Speeds
@@ -140,6 +142,7 @@ class Autopilot(ABC):
     flight_logs: StandInLogs
     mode: FlightMode
     intended_mode: FlightMode  # that it returns to by itself
+    vision: ExternalVision | None = None  # in place of GPS
 
     def __init__(self, file: AutopilotFile, dt_s: float) -> None:
         stand_in = file.stand_in
@@ -147,7 +150,9 @@ class Autopilot(ABC):
         self.system_id = file.id
         self.dt_s = dt_s
         self.quad = Quadrotor(file, self.data.loops, dt_s, hover_thrust_norm)
-        self.parameters = self.parameters_type(self.data, file.id, stand_in.parameters)
+        by_vision = stand_in.positioning == "external_vision"
+        overrides = self.data.external_vision.parameters | stand_in.parameters if by_vision else stand_in.parameters
+        self.parameters = self.parameters_type(self.data, file.id, overrides)
         self.time_s = 0.0
         self._clock_ms_s = 1000.0 - 10.0 * stand_in.clock_slow_percent
         self.armed = False
@@ -161,11 +166,18 @@ class Autopilot(ABC):
         self._automatic = AutomaticFlight(self.quad, self.speeds, hover_thrust_norm, self.data.braking_m_s2)
         self._ground = GroundContact()
         self._incidents = Incidents(file)
+        if by_vision:
+            self.vision = self._vision(file)
 
     @classmethod
     def armable_after_s(cls, stand_in: StandIn) -> float:
         """Time from the start until arming is accepted."""
         return known_or(stand_in.armable_after_s, cls.data.armable_after_s)
+
+    def _vision(self, file: AutopilotFile) -> ExternalVision:
+        armable_after_s = self.armable_after_s(file.stand_in)
+        say = partial(self.send_text, INFO)
+        return ExternalVision(self.data.external_vision, file, self.quad, armable_after_s, self.reset_estimator, say)
 
     # ------------------------------------------------------------ state
 
@@ -220,12 +232,25 @@ class Autopilot(ABC):
     @property
     def position_lost_s(self) -> float:
         """For how long it has dead-reckoned; 0 while it does not."""
+        if self.vision is not None:
+            return self.vision.lost_s(self.time_s)
         return self.time_s - self._incidents.loss.at_s if self._incidents.loss else 0.0
+
+    @property
+    def reports_globally(self) -> bool:
+        """Whether it knows its place on Earth."""
+        return self.vision is None or (self.vision.fixed and self.has_origin)
+
+    def local_state(self) -> tuple[Vector3, Vector3]:
+        """Position and velocity in the local ENU frame that it reports."""
+        if self.vision is not None and not self.vision.fixed:
+            return ZERO3, ZERO3
+        return self.quad.estimated_position_local_enu_m(), self.quad.estimated_velocity_enu_m_s()
 
     @property
     def has_origin(self) -> bool:
         """Whether it has an origin and a home."""
-        return True
+        return self.vision is None or self.vision.origin_s < inf
 
     @property
     def commanded_thrust_norm(self) -> float:
@@ -303,11 +328,20 @@ class Autopilot(ABC):
         self.send_text(INFO, text)
 
     def set_origin(self, origin_deg_deg_m: Vector3) -> None:
-        """Move the origin of the local frame at once; the vehicle does not move."""
+        """Move the origin of the local frame at once, or name its place; the vehicle does not move."""
         before = self.quad.origin
-        self.quad.set_origin(origin_deg_deg_m)
-        self._automatic.origin_moved(enu_from_geodetic(*before, self.quad.origin))
+        if self.vision is not None:
+            self.vision.set_origin(origin_deg_deg_m, self.time_s)
+            self.home = self.here_geodetic()
+        else:
+            self.quad.set_origin(origin_deg_deg_m)
+            self._automatic.origin_moved(enu_from_geodetic(*before, self.quad.origin))
         self.origin_changes += 1
+
+    def take_pose(self, pose: Pose) -> None:
+        """A pose of external vision."""
+        if self.vision is not None and self.loss is None:
+            self.vision.receive(pose, self.time_s, self.boot_ms / 1000.0)
 
     def reset_estimator(self, shift_enu_m: Vector3) -> None:
         """Shift the estimated position and the goals of automatic flight: the vehicle does not move."""
@@ -329,7 +363,11 @@ class Autopilot(ABC):
             self._control(control_is_due)
         else:
             self.setpoint = MOTORS_OFF
-        self.quad.step(self.setpoint)
+        if self.vision is None:
+            self.quad.step(self.setpoint)
+        else:
+            self.vision.step(self.time_s, self.dt_s, self.armed)
+            self.quad.step(self.vision.true_setpoint(self.setpoint))
         if self.armed:
             self._update_ground_contact()
 
@@ -340,6 +378,15 @@ class Autopilot(ABC):
         if (home_enu_m := self._incidents.home(self.time_s)) is not None:
             self.home = geodetic_from_enu(home_enu_m, self.quad.world_origin)
         self._incidents.lose_position(self.time_s)
+        if self.vision is None:
+            self._drift()
+        if text := self._incidents.failsafe_text(self.time_s):
+            self.send_text(WARNING, text)
+        if self._incidents.pilot_takes_over(self.time_s) and self.armed and self._ground.flies:
+            self._enter_pilot_mode()
+
+    def _drift(self) -> None:
+        """Dead reckoning without GPS."""
         if loss := self._incidents.loss:
             (x, y, z), lost_s = loss.drift_enu_m_s2, self.position_lost_s
             self.quad.drift_m_s = (x * lost_s, y * lost_s, z * lost_s)
@@ -347,10 +394,6 @@ class Autopilot(ABC):
             self.quad.drift_m = (x * half_s2, y * half_s2, z * half_s2)
         else:
             self.quad.drift_m = self.quad.drift_m_s = ZERO3
-        if text := self._incidents.failsafe_text(self.time_s):
-            self.send_text(WARNING, text)
-        if self._incidents.pilot_takes_over(self.time_s) and self.armed and self._ground.flies:
-            self._enter_pilot_mode()
 
     @abstractmethod
     def _enter(self, mode: Any) -> None:

@@ -13,9 +13,11 @@ from itertools import chain
 from math import inf, isfinite, nan
 from typing import Any, ClassVar
 
-from companion.geometry.frames import euler_enu_from_ned, flu_from_frd
+from companion.geometry.frames import enu_from_geodetic, euler_enu_from_ned, flu_from_frd
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+from companion.types.values import Vector3
 from sitl.autopilots.autopilot import Autopilot
+from sitl.autopilots.external_vision import Pose, pose_of, pose_of_odometry
 from sitl.autopilots.logs import Answers, Handler, LogTransfer
 from sitl.autopilots.messages import BUILDERS
 from sitl.autopilots.parameters import AutopilotData
@@ -31,6 +33,7 @@ IGNORE_THROTTLE, IGNORE_ATTITUDE = 0x40, 0x80
 IGNORE_POSITION, IGNORE_VELOCITY = (0x01, 0x02, 0x04), (0x08, 0x10, 0x20)  # of SET_POSITION_TARGET_LOCAL_NED: x, y, z
 IGNORE_YAW, IGNORE_YAW_RATE = 0x400, 0x800
 CHUNK = 50  # characters of a STATUSTEXT
+MAX_DISTANCE_M = 10_000.0
 NO_COORDINATE = 2**31 - 1  # COMMAND_INT's NaN
 # Older commands for REQUEST_MESSAGE.
 REQUESTS_OF_ONE_MESSAGE = {
@@ -50,6 +53,7 @@ class Receiver(ABC):
 
     logs: LogTransfer
     UNKNOWN_MESSAGE: ClassVar[int]  # MAV_RESULT of a request for it
+    NO_DATA: ClassVar[int] = ACCEPTED  # and for one that is known, of which there is none yet
     TEXT_ENDS_WITH: ClassVar[str] = ""
 
     def __init__(self, autopilot: Autopilot, schedule: Schedule) -> None:
@@ -104,9 +108,11 @@ class Receiver(ABC):
         if command == M.MAV_CMD_REQUEST_MESSAGE or command in REQUESTS_OF_ONE_MESSAGE:
             message_id = REQUESTS_OF_ONE_MESSAGE.get(command, number)
             known = message_id in self._autopilot.data.message_ids
-            if known and (reply := BUILDERS[message_id](self._autopilot)) is not None:  # accepted also without data
+            reply = BUILDERS[message_id](self._autopilot) if known else None
+            if reply is not None:
                 yield reply
-            yield self._ack(message, ACCEPTED if known else self.UNKNOWN_MESSAGE)
+            result = self.UNKNOWN_MESSAGE if not known else self.NO_DATA if reply is None else ACCEPTED
+            yield self._ack(message, result)
             return
         if command == M.MAV_CMD_GET_MESSAGE_INTERVAL and number >= 0:
             yield M.MAVLink_message_interval_message(number, self._schedule.interval_us(number))
@@ -203,9 +209,27 @@ class Receiver(ABC):
             message.get_srcSystem(), message.get_srcComponent(), result, message.mission_type
         )
 
+    def _on_vision_position_estimate(self, message: MavlinkMessage) -> None:
+        self._take_pose(pose_of(message, message.usec, message.yaw))
+
+    def _on_odometry(self, message: MavlinkMessage) -> None:
+        if self._autopilot.data.external_vision.takes(message):
+            self._take_pose(pose_of_odometry(message))
+
+    def _take_pose(self, pose: Pose | None) -> None:
+        if pose is not None:
+            self._autopilot.take_pose(pose)
+
     def _on_timesync(self, message: MavlinkMessage) -> Answers:
         if message.tc1 == 0:
             yield M.MAVLink_timesync_message(self._autopilot.boot_ms * 1_000_000, message.ts1)
+
+
+def origin_of(message: MavlinkMessage, autopilot: Autopilot) -> Vector3 | None:
+    """The origin of a SET_GPS_GLOBAL_ORIGIN. The stand-in's world is flat, so there are no distant ones."""
+    origin = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
+    away_m = max(map(abs, enu_from_geodetic(*origin, autopilot.quad.world_origin)))
+    return origin if away_m <= MAX_DISTANCE_M else None
 
 
 def turn_of(message: MavlinkMessage) -> tuple[float, float]:

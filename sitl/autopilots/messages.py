@@ -30,7 +30,9 @@ ESTIMATES = (
 )  # fmt: skip
 # PX4 that has lost vision, as measured: 0.07 m after 1 s, 0.6 m after 3 s; flags 101 at last.
 UNAIDED_AFTER_S, REPORTED_DRIFT_M_S2, WITHOUT_POSITION = 0.5, 0.067, 101
-EKF_READY, EKF_WITHOUT_POSITION = 831, 167
+EKF_READY, EKF_WITHOUT_POSITION, EKF_WITHOUT_VISION = 831, 167, 37
+COMPASS_VARIANCE_1_DEG = 0.028  # 0.28 for a yaw that is wrong by 10 degrees, 2.5 for 90
+NEAR_GROUND_M = 0.5
 RELEASE = 255  # FIRMWARE_VERSION_TYPE
 
 Builder = Callable[[Autopilot], MavlinkMessage | None]
@@ -52,9 +54,10 @@ def current_mode(autopilot: Autopilot) -> MavlinkMessage:
 def local_position(autopilot: Autopilot) -> MavlinkMessage | None:
     if not autopilot.reports_position:
         return None
-    position = ned_from_enu(autopilot.quad.estimated_position_local_enu_m())
-    velocity = ned_from_enu(autopilot.quad.estimated_velocity_enu_m_s())
-    return M.MAVLink_local_position_ned_message(autopilot.boot_ms, *position, *velocity)
+    position_enu_m, velocity_enu_m_s = autopilot.local_state()
+    return M.MAVLink_local_position_ned_message(
+        autopilot.boot_ms, *ned_from_enu(position_enu_m), *ned_from_enu(velocity_enu_m_s)
+    )
 
 
 def attitude(autopilot: Autopilot) -> MavlinkMessage:
@@ -77,40 +80,62 @@ def attitude_target(autopilot: Autopilot) -> MavlinkMessage:
 
 
 def odometry(autopilot: Autopilot) -> MavlinkMessage:
-    quad = autopilot.quad
-    quaternion = quaternion_from_euler(*euler_ned_from_enu(*quad.estimated_euler_rad()))
+    position_enu_m, velocity_enu_m_s = autopilot.local_state()
+    quaternion = quaternion_from_euler(*euler_ned_from_enu(*autopilot.quad.estimated_euler_rad()))
     return M.MAVLink_odometry_message(
         autopilot.boot_ms * 1000, M.MAV_FRAME_LOCAL_NED, M.MAV_FRAME_LOCAL_NED,
-        *ned_from_enu(quad.estimated_position_local_enu_m()), quaternion,
-        *ned_from_enu(quad.estimated_velocity_enu_m_s()), *rates_frd(autopilot), [nan] * 21, [nan] * 21,
+        *ned_from_enu(position_enu_m), quaternion, *ned_from_enu(velocity_enu_m_s), *rates_frd(autopilot),
+        [nan] * 21, [nan] * 21,
     )  # fmt: skip
 
 
 def altitude(autopilot: Autopilot) -> MavlinkMessage:
     up = autopilot.quad.estimated_position_local_enu_m()[2]
-    amsl = autopilot.quad.origin[2] + up
+    amsl = autopilot.quad.origin[2] + up if autopilot.reports_globally else nan
     return M.MAVLink_altitude_message(autopilot.boot_ms * 1000, amsl, amsl, up, amsl - autopilot.home[2], nan, nan)
 
 
 def estimator_status(autopilot: Autopilot) -> MavlinkMessage:
     """PX4 calls the position of a vehicle that rests on the ground constant, however good it is."""
-    flags = ESTIMATES | (M.ESTIMATOR_CONST_POS_MODE if autopilot.at_rest else 0)
+    flags = estimates(autopilot) | (M.ESTIMATOR_CONST_POS_MODE if autopilot.at_rest else 0)
     lost_s, (horizontal_m, vertical_m) = autopilot.position_lost_s, autopilot.quad.reported_error_m
     if lost_s > UNAIDED_AFTER_S:
         flags &= ~M.ESTIMATOR_PRED_POS_HORIZ_REL if autopilot.has_position else WITHOUT_POSITION
     horizontal_m += REPORTED_DRIFT_M_S2 * lost_s * lost_s
+    position_ratio = autopilot.vision.position_ratio if autopilot.vision else 0.1
     return M.MAVLink_estimator_status_message(
-        autopilot.boot_ms * 1000, flags, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, horizontal_m, vertical_m
+        autopilot.boot_ms * 1000, flags, 0.1, position_ratio, 0.1, 0.1, 0.1, 0.1, horizontal_m, vertical_m
     )
+
+
+def estimates(autopilot: Autopilot) -> int:
+    """What PX4 estimates, by GPS or vision."""
+    if autopilot.vision is None:
+        return ESTIMATES
+    if not autopilot.vision.fixed:
+        return WITHOUT_POSITION
+    flags = ESTIMATES & ~M.ESTIMATOR_PRED_POS_HORIZ_ABS
+    if not autopilot.has_origin:
+        flags &= ~M.ESTIMATOR_POS_HORIZ_ABS
+    if autopilot.armed and autopilot.quad.height_m < NEAR_GROUND_M:
+        flags &= ~M.ESTIMATOR_POS_VERT_AGL
+    return int(flags)
 
 
 def ekf_status_report(autopilot: Autopilot) -> MavlinkMessage:
     """Square roots of the innovation test ratios, 1 is the gate; small, as measured in a hover."""
-    flags = EKF_READY if autopilot.has_position else EKF_WITHOUT_POSITION
+    flags, vision = EKF_READY if autopilot.has_position else EKF_WITHOUT_POSITION, autopilot.vision
+    if vision is not None:
+        lost = vision.fixed and not autopilot.has_position
+        compass = COMPASS_VARIANCE_1_DEG * degrees(vision.yaw_off_rad)
+        return MAVLink_ekf_status_report_message(EKF_WITHOUT_VISION if lost else flags, 0.0, 0.0, 0.0, compass, 0.0)
     return MAVLink_ekf_status_report_message(flags, 0.02, 0.02, 0.02, 0.02, 0.0)
 
 
-def global_position(autopilot: Autopilot) -> MavlinkMessage:
+def global_position(autopilot: Autopilot) -> MavlinkMessage | None:
+    if not autopilot.reports_globally:
+        zeros = M.MAVLink_global_position_int_message(autopilot.boot_ms, 0, 0, 0, 0, 0, 0, 0, 0)
+        return zeros if autopilot.data.external_vision.sends_zeros else None
     latitude, longitude, altitude = autopilot.here_geodetic()
     north, east, down = ned_from_enu(autopilot.quad.estimated_velocity_enu_m_s())
     return M.MAVLink_global_position_int_message(
@@ -120,7 +145,10 @@ def global_position(autopilot: Autopilot) -> MavlinkMessage:
     )  # fmt: skip
 
 
-def gps_raw(autopilot: Autopilot) -> MavlinkMessage:
+def gps_raw(autopilot: Autopilot) -> MavlinkMessage | None:
+    if autopilot.vision is not None:
+        no_gps = M.MAVLink_gps_raw_int_message(0, M.GPS_FIX_TYPE_NO_GPS, 0, 0, 0, 65535, 65535, 0, 0, 0, 0, 0, 0)
+        return no_gps if autopilot.data.external_vision.sends_zeros else None
     latitude, longitude, altitude = autopilot.here_geodetic()
     x, y, _ = autopilot.quad.estimated_velocity_enu_m_s()
     course = round(degrees(atan2(x, y)) % 360.0 * 100) % 36000

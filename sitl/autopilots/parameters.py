@@ -18,6 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 
 from companion.config.file import StrictLoader
 from companion.mavlink.codec import MavlinkMessage, mavlink
+from sitl.autopilots.external_vision import VisionData
 from sitl.vehicle.control import Loops
 
 REAL32: int = mavlink.MAV_PARAM_TYPE_REAL32
@@ -58,6 +59,7 @@ class AutopilotData(msgspec.Struct, frozen=True, dict=True, kw_only=True, forbid
     id_parameter: str
     parameters: dict[str, int | float]
     types: dict[str, str] = {}
+    external_vision: VisionData
 
     @cached_property
     def message_ids(self) -> frozenset[int]:

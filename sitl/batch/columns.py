@@ -95,6 +95,8 @@ def _check(scenarios: Sequence[Scenario]) -> None:
     counts = sorted({len(scenario.fleet.vehicles) for scenario in scenarios})
     if len(counts) > 1:
         raise ValueError(f"all formations of a batch need the same number of vehicles; these have {counts}")
+    if any(scenario.stand_in.positioning != "gps" for scenario in scenarios):
+        raise ValueError("a batch does not model stand_in.positioning; use sitl run or sitl fly")
     for key, instead in NOT_MODELLED.items():
         if any(map(attrgetter(key), scenarios)):
             raise ValueError(f"a batch does not model {key}; use {instead}")

@@ -17,7 +17,7 @@ from companion.geometry.frames import quaternion_from_euler
 from companion.mavlink import telemetry
 from companion.mavlink.autopilot_types import DIALECTS
 from companion.mavlink.clock import REQUEST_PERIOD_S
-from companion.mavlink.codec import mavlink
+from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.mavlink.translator import Translator
 from companion.types.autopilot import (
     AttitudeSample,
@@ -37,7 +37,7 @@ from companion.types.autopilot import (
 )
 from sitl.autopilots.autopilot import Autopilot
 from sitl.autopilots.link_end import LinkEnd
-from sitl.autopilots.messages import estimator_status, global_position, gps_raw, home_position
+from sitl.autopilots.messages import Builder, estimator_status, global_position, gps_raw, home_position
 from sitl.vehicle.config import Links
 from sitl.vehicle.control import AttitudeSetpoint
 
@@ -69,9 +69,8 @@ def _heartbeat(autopilot: Autopilot, received_s: float) -> Samples:
 def _position(autopilot: Autopilot, received_s: float) -> Samples:
     if not autopilot.reports_position:
         return ()
-    x, y, z, vx, vy, vz = _FLOATS.unpack(
-        _FLOATS.pack(*autopilot.quad.estimated_position_local_enu_m(), *autopilot.quad.estimated_velocity_enu_m_s())
-    )
+    position_enu_m, velocity_enu_m_s = autopilot.local_state()
+    x, y, z, vx, vy, vz = _FLOATS.unpack(_FLOATS.pack(*position_enu_m, *velocity_enu_m_s))
     return (PositionSample(received_s, autopilot.boot_ms / 1000.0, (x, y, z), (vx, vy, vz)),)
 
 
@@ -88,9 +87,14 @@ def _error(autopilot: Autopilot, received_s: float) -> Samples:
     return (EstimatorSample(received_s, horizontal_m, vertical_m, status.healthy, status.aid),)
 
 
-def _home(autopilot: Autopilot, received_s: float) -> Samples:
-    message = home_position(autopilot)
-    return () if message is None else (telemetry.home(message, received_s),)
+def _read(build: Builder, read: Callable[[MavlinkMessage, float], Telemetry]) -> Callable[[Autopilot, float], Samples]:
+    """The sample of a message, if the autopilot sends one."""
+
+    def samples(autopilot: Autopilot, received_s: float) -> Samples:
+        message = build(autopilot)
+        return () if message is None else (read(message, received_s),)
+
+    return samples
 
 
 # The attitude is without the 32-bit quaternion, which changes it by less than a microradian.
@@ -102,11 +106,11 @@ SAMPLES: dict[int, Callable[[Autopilot, float], Samples]] = {
     M.MAVLINK_MSG_ID_ATTITUDE_TARGET: _thrust,
     M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda own, at_s: (LandedSample(at_s, LandedState(own.landed_state)),),
     M.MAVLINK_MSG_ID_SYS_STATUS: lambda own, at_s: (SystemSample(at_s, float(own.battery_percent), own.armable),),
-    M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: lambda own, at_s: (telemetry.global_position(global_position(own), at_s),),
-    M.MAVLINK_MSG_ID_HOME_POSITION: _home,
+    M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _read(global_position, telemetry.global_position),
+    M.MAVLINK_MSG_ID_HOME_POSITION: _read(home_position, telemetry.home),
     M.MAVLINK_MSG_ID_MISSION_CURRENT: lambda own, at_s: (RallySample(at_s, bool(own.rally_points)),),
     M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _error,
-    M.MAVLINK_MSG_ID_GPS_RAW_INT: lambda own, at_s: (telemetry.gps_error(gps_raw(own), at_s),),
+    M.MAVLINK_MSG_ID_GPS_RAW_INT: _read(gps_raw, telemetry.gps_error),
 }
 
 

@@ -198,6 +198,7 @@ class OwnStandIn(Section, frozen=True):
 
     autopilot: the autopilot whose behaviour is simulated
     armable_after_s: time from the start until arming is accepted; without a value as measured: PX4 4 s, ArduCopter 42 s
+    positioning: `gps`, or `external_vision`: without GPS; VISION_POSITION_ESTIMATE or ODOMETRY on a link give the position
     sensors: errors of the estimate. `ideal`: none; `default`: a good estimator; `px4_sih`: PX4's SIH with stock EKF2
         parameters; `ardupilot_sitl`: ArduCopter's SITL
     clock_slow_percent: how much slower the autopilot's clock runs than this computer's: PX4's 1 to 2 %
@@ -207,6 +208,7 @@ class OwnStandIn(Section, frozen=True):
     autopilot: AutopilotKind = AutopilotKind.PX4
     armable_after_s: Annotated[float, Meta(ge=0, le=600)] | None = None
     airframe: Airframe = Airframe()
+    positioning: Literal["gps", "external_vision"] = "gps"
     sensors: Literal["ideal", "default", "px4_sih", "ardupilot_sitl"] | Sensors = "default"
     clock_slow_percent: Annotated[float, Meta(ge=-5, le=5)] = 0.0
     parameters: dict[str, float] = field(default_factory=dict)
@@ -224,7 +226,7 @@ class StandIn(OwnStandIn, frozen=True):
     batteries: battery charges; without any, they are full
     pilots: vehicles that a pilot takes over
     refusals: mode changes that autopilots refuse from then on
-    position_losses: vehicles that lose GPS or vision
+    position_losses: vehicles that lose GPS or vision; poses that arrive meanwhile are not used
     failsafes: failsafes that autopilots report, and only warn
     homes: homes that a ground station sets
     rally_points: rally points of autopilots
@@ -245,8 +247,8 @@ class StandIn(OwnStandIn, frozen=True):
 class StandIns(StandIn, frozen=True):
     """The simulated vehicles of a scenario, and the wind.
 
-    vehicles: by id, the keys in which single vehicles differ: autopilot, armable_after_s, airframe, sensors,
-        clock_slow_percent, parameters. All others are as for the whole fleet; parameters only of the same autopilot
+    vehicles: by id, the keys in which single vehicles differ: autopilot, armable_after_s, airframe, positioning,
+        sensors, clock_slow_percent, parameters. All others are as for the whole fleet; parameters only of the same autopilot
     """
 
     vehicles: dict[VehicleId, dict[str, Any]] = field(default_factory=dict)  # as written: only what differs

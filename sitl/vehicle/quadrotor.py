@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import hypot, radians
+from math import cos, hypot, radians, sin
 from random import Random
 
 from companion.geometry.frames import (
@@ -12,6 +12,7 @@ from companion.geometry.frames import (
     geodetic_from_enu,
     quaternion_from_euler,
 )
+from companion.geometry.vectors import minus, plus
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.control import AttitudeControl, AttitudeSetpoint, Loops
@@ -20,6 +21,13 @@ from sitl.vehicle.dynamics import THRUST, Body, State, at_rest, back, small_turn
 
 MOTORS_OFF = AttitudeSetpoint((1.0, 0.0, 0.0, 0.0), 0.0)
 ESTIMATE_PERIOD_STEPS = 5  # the estimator's error changes at 50 Hz, the rate of an agent's ticks
+
+
+def about_vertical(quaternion: Quaternion, angle_rad: float) -> Quaternion:
+    """An attitude after a rotation about the vertical."""
+    w, x, y, z = quaternion
+    c, s = cos(0.5 * angle_rad), sin(0.5 * angle_rad)
+    return (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
 
 
 class Quadrotor:
@@ -50,6 +58,7 @@ class Quadrotor:
         self.world_origin = file.world_origin.as_tuple()
         self._shift_m = ZERO3
         self.drift_m = self.drift_m_s = ZERO3  # of the estimate, by dead reckoning
+        self.yaw_error_rad = 0.0  # of the estimate, by a wrong reference; the loops do not know it
         about = file.start_enu_m if file.origin_enu_m is None else file.origin_enu_m
         x, y, z = (a + origin_noise.gauss(0.0, sd) for a, sd in zip(about, sensors.origin_sd_m, strict=True))
         self.set_origin(geodetic_from_enu((x, y, z), self.world_origin))
@@ -61,6 +70,12 @@ class Quadrotor:
         x, y, z = enu_from_geodetic(*self.origin, self.world_origin)
         sx, sy, sz = self._shift_m
         self._local_zero_enu_m = (x - sx, y - sy, z - sz)  # according to the estimate
+
+    def name_origin(self, origin_deg_deg_m: Vector3) -> None:
+        """The zero of the local frame is at this place from now on: local positions stay."""
+        zero_enu_m, self._shift_m = self._local_zero_enu_m, ZERO3
+        self.set_origin(origin_deg_deg_m)
+        self._shift_m, self._local_zero_enu_m = minus(self._local_zero_enu_m, zero_enu_m), zero_enu_m
 
     def shift_estimate(self, shift_enu_m: Vector3) -> None:
         """An estimator reset: its position error grows by this vector."""
@@ -77,6 +92,11 @@ class Quadrotor:
         """True position in the world frame."""
         state = self.state
         return (state[0], state[1], state[2])
+
+    @property
+    def height_m(self) -> float:
+        """True height above the ground."""
+        return self.state[2] - self._ground_z_m
 
     @property
     def velocity_enu_m_s(self) -> Vector3:
@@ -106,6 +126,10 @@ class Quadrotor:
         dx, dy, dz = self.drift_m
         return (x + ex - ox + dx, y + ey - oy + dy, z + ez - oz + dz)
 
+    def aided_position_local_enu_m(self) -> Vector3:
+        """The same without the noise of the sensors."""
+        return plus(minus(self.position_enu_m, self._local_zero_enu_m), self.drift_m)
+
     def estimated_velocity_enu_m_s(self) -> Vector3:
         x, y, z = self.velocity_enu_m_s
         ex, ey, ez = self._error.velocity_m_s
@@ -114,7 +138,8 @@ class Quadrotor:
 
     def estimated_quaternion(self) -> Quaternion:
         """Estimated attitude, FLU to ENU; every loop of the autopilot uses it."""
-        return self.quaternion if self._error.quiet else turned(self.quaternion, self._error.turn)
+        estimate = self.quaternion if self._error.quiet else turned(self.quaternion, self._error.turn)
+        return about_vertical(estimate, self.yaw_error_rad) if self.yaw_error_rad else estimate
 
     def estimated_euler_rad(self) -> Vector3:
         """Roll, pitch, yaw of FLU in ENU."""

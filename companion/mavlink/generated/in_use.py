@@ -3155,6 +3155,52 @@ class MAVLink_set_position_target_local_ned_message(MAVLink_message):
 setattr(MAVLink_set_position_target_local_ned_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_vision_position_estimate_message(MAVLink_message):
+    """
+
+    """
+
+    id = MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE
+    msgname = "VISION_POSITION_ESTIMATE"
+    fieldnames = ["usec", "x", "y", "z", "roll", "pitch", "yaw", "covariance", "reset_counter"]
+    ordered_fieldnames = ["usec", "x", "y", "z", "roll", "pitch", "yaw", "covariance", "reset_counter"]
+    fieldtypes = ["uint64_t", "float", "float", "float", "float", "float", "float", "float", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<QfffffffB")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 21, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 21, 0]
+    crc_extra = 158
+    unpacker = struct.Struct("<Qffffff21fB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, usec: int, x: float, y: float, z: float, roll: float, pitch: float, yaw: float, covariance: Sequence[float] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0), reset_counter: int = 0):
+        MAVLink_message.__init__(self, MAVLink_vision_position_estimate_message.id, MAVLink_vision_position_estimate_message.msgname)
+        self._fieldnames = MAVLink_vision_position_estimate_message.fieldnames
+        self._instance_field = MAVLink_vision_position_estimate_message.instance_field
+        self._instance_offset = MAVLink_vision_position_estimate_message.instance_offset
+        self.usec = usec
+        self.x = x
+        self.y = y
+        self.z = z
+        self.roll = roll
+        self.pitch = pitch
+        self.yaw = yaw
+        self.covariance = covariance
+        self.reset_counter = reset_counter
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.usec, self.x, self.y, self.z, self.roll, self.pitch, self.yaw, self.covariance[0], self.covariance[1], self.covariance[2], self.covariance[3], self.covariance[4], self.covariance[5], self.covariance[6], self.covariance[7], self.covariance[8], self.covariance[9], self.covariance[10], self.covariance[11], self.covariance[12], self.covariance[13], self.covariance[14], self.covariance[15], self.covariance[16], self.covariance[17], self.covariance[18], self.covariance[19], self.covariance[20], self.reset_counter), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_vision_position_estimate_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_highres_imu_message(MAVLink_message):
     """
 
@@ -4106,6 +4152,7 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: MAVLink_set_attitude_target_message,
     MAVLINK_MSG_ID_ATTITUDE_TARGET: MAVLink_attitude_target_message,
     MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: MAVLink_set_position_target_local_ned_message,
+    MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE: MAVLink_vision_position_estimate_message,
     MAVLINK_MSG_ID_HIGHRES_IMU: MAVLink_highres_imu_message,
     MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: MAVLink_file_transfer_protocol_message,
     MAVLINK_MSG_ID_TIMESYNC: MAVLink_timesync_message,

@@ -43,7 +43,6 @@ OTHERS: tuple[tuple[int, str, int, int, int], ...] = (
     (93, 'HIL_ACTUATOR_CONTROLS', 47, 81, -1),
     (100, 'OPTICAL_FLOW', 175, 34, -1),
     (101, 'GLOBAL_VISION_POSITION_ESTIMATE', 102, 117, -1),
-    (102, 'VISION_POSITION_ESTIMATE', 158, 117, -1),
     (103, 'VISION_SPEED_ESTIMATE', 208, 57, -1),
     (104, 'VICON_POSITION_ESTIMATE', 56, 116, -1),
     (106, 'OPTICAL_FLOW_RAD', 138, 44, -1),

@@ -14,7 +14,7 @@ from companion.geometry.frames import Quaternion, euler_from_quaternion, quatern
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import Vector3
 from sitl.autopilots.ardupilot.logs import LogService, dataflash_head, dataflash_row
-from sitl.autopilots.ardupilot.modes import ARMABLE, NEED_A_POSITION, CopterMode, StartUp
+from sitl.autopilots.ardupilot.modes import ARMABLE, NEED_A_POSITION, CopterMode, StartUp, VisionStartUp
 from sitl.autopilots.autopilot import (
     CRITICAL,
     IDLE_THRUST_NORM,
@@ -67,7 +67,8 @@ class ArduCopter(Autopilot):
         self.log_service = LogService()
         self.parameters.set("RALLY_TOTAL", len(self.rally_points))
         self.mode = self.intended_mode = CopterMode.STABILIZE
-        self.start = StartUp(self.armable_after_s(file.stand_in))
+        ready_s = self.armable_after_s(file.stand_in)
+        self.start = VisionStartUp(ready_s, vision=self.vision) if self.vision else StartUp(ready_s)
         self.failsafe = self.ekf_failsafe = False
         self.signing: SigningSetup | None = None
         self._lifts_off_s = 0.0
@@ -142,6 +143,11 @@ class ArduCopter(Autopilot):
         if mode is not self.mode:
             self._enter(mode)
         return None
+
+    def set_origin(self, origin_deg_deg_m: Vector3) -> None:
+        super().set_origin(origin_deg_deg_m)
+        for text in ("EKF3 IMU0 origin set", f"Field Elevation Set: {origin_deg_deg_m[2]:.0f}m"):
+            self.send_text(INFO, text)
 
     @property
     def follows_setpoints(self) -> bool:

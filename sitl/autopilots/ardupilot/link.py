@@ -33,6 +33,7 @@ from sitl.autopilots.link_end import (
     LinkEnd,
     Receiver,
     Schedule,
+    origin_of,
     turn_of,
 )
 from sitl.autopilots.parameters import rates_by_id
@@ -107,6 +108,12 @@ class ArduPilotReceiver(Receiver):
 
     def _mode_parameters(self, custom_mode: int) -> tuple[float, ...]:
         return (float(custom_mode),)
+
+    def _on_set_gps_global_origin(self, message: MavlinkMessage) -> None:
+        """Silently ignored where there is an origin."""
+        origin = origin_of(message, self._copter)
+        if origin is not None and self._copter.vision is not None and not self._copter.has_origin:
+            self._copter.set_origin(origin)
 
     def _on_setup_signing(self, message: MavlinkMessage) -> None:
         """No answer; from then on every link is signed. A key and a timestamp of zeros end signing."""

@@ -41,6 +41,7 @@ def dataflash_head() -> bytes:
 def dataflash_row(copter: Autopilot) -> bytes:
     time_us = round(copter.time_s * 1e6)
     angles, position = attitude(copter), global_position(copter)
+    assert position is not None  # it sends zeros where it knows none
     angles_deg = (degrees(angles.roll), degrees(angles.pitch), degrees(angles.yaw) % 360.0)
     return _message("ATT", time_us, *angles_deg) + _message(
         "POS", time_us, position.lat, position.lon, position.alt / 1e3, position.relative_alt / 1e3

@@ -21,6 +21,7 @@ from sitl.autopilots.autopilot import (
     STATE_UNINIT,
     Autopilot,
 )
+from sitl.autopilots.external_vision import ExternalVision
 from sitl.autopilots.logs import StandInLogs
 from sitl.autopilots.parameters import BytewiseParameters, load_data
 from sitl.autopilots.px4.logs import ulog_head, ulog_row
@@ -67,14 +68,18 @@ OFFBOARD = Px4Mode.OFFBOARD  # member lookup of an enum is slow, and every step 
 # There is no remote control, so these cannot fly the vehicle.
 NEED_A_PILOT = frozenset({Px4Mode.MANUAL, Px4Mode.ALTCTL, Px4Mode.POSCTL, Px4Mode.ACRO, Px4Mode.STABILIZED})
 _TASKS = {Px4Mode.TAKEOFF: Task.TAKE_OFF, Px4Mode.LAND: Task.LAND, Px4Mode.RTL: Task.RETURN}
+NEED_AN_ORIGIN = frozenset({Px4Mode.LOITER, Px4Mode.RTL})
 NEED_A_POSITION = frozenset({Px4Mode.TAKEOFF, Px4Mode.LOITER, Px4Mode.RTL})
 PREVENT_ARMING = frozenset({Px4Mode.LAND, Px4Mode.RTL})
 
 FAILSAFE_PERIOD_S = 0.1  # the check for lost streams; so the largest delay of a failsafe
 STREAM_LOST_GRACE_S = 0.01  # with the period, a lost stream is detected after 1.01 to 1.12 s
 STREAM_BACK_AFTER_S = 0.03  # a stream that returns counts after this time
+UNSTABLE = "Preflight Fail: horizontal position unstable"
 NOT_HEALTHY = "Resolve system health failures first"
 DEAD_RECKONS_S = 4.65  # after GPS or vision is lost
+SETTLED_AFTER_S = 3.9  # the position by vision, after its first fix with an origin
+RETURNS_AFTER_S = 1.5  # to hold, when vision is back
 SINK_M_S = 0.85  # of a manual mode without a pilot; 0.7 to 1.0 was measured
 LANDING_SLOWS_M = (5.0, 10.0)  # MPC_LAND_ALT2 and MPC_LAND_ALT1 above home
 
@@ -118,6 +123,8 @@ class Px4(Autopilot):
             return False
         if self.mode is Px4Mode.OFFBOARD and not self.streaming:
             return False
+        if self.vision is not None and not self._vision_suffices:
+            return False
         return not (self.parameters["NAV_DLL_ACT"] > 0 and self.ground_station_lost)
 
     @property
@@ -134,7 +141,18 @@ class Px4(Autopilot):
 
     @property
     def has_position(self) -> bool:
-        return self.position_lost_s < DEAD_RECKONS_S
+        return self.position_lost_s < DEAD_RECKONS_S and (self.vision is None or self.vision.fixed)
+
+    @property
+    def _vision_suffices(self) -> bool:
+        placed = self.has_origin or self.mode not in NEED_AN_ORIGIN
+        return placed and self.has_position and not self._is_unstable
+
+    @property
+    def _is_unstable(self) -> bool:
+        if self.vision is None or not self.has_origin:
+            return False
+        return self.time_s - max(self.vision.fixed_s, self.vision.origin_s) < SETTLED_AFTER_S
 
     @property
     def reports_position(self) -> bool:
@@ -204,6 +222,8 @@ class Px4(Autopilot):
         )
         if self.armed and (not can_fly or self._incidents.refuses(mode.name, self.time_s)):
             return False
+        if self.armed and mode in NEED_AN_ORIGIN and not self.has_origin:
+            return True  # acknowledged, and not done
         if mode is not self.mode or takeoff_altitude_amsl_m is not None:
             self.takeoff_altitude_amsl_m = takeoff_altitude_amsl_m
         self.intended_mode = mode
@@ -220,7 +240,7 @@ class Px4(Autopilot):
         self.set_mode(Px4Mode.TAKEOFF, altitude_amsl_m)
         if again:
             self._enter(Px4Mode.TAKEOFF)
-        if altitude_amsl_m is not None and altitude_amsl_m < self.here_geodetic()[2]:
+        if self.has_origin and altitude_amsl_m is not None and altitude_amsl_m < self.here_geodetic()[2]:
             self.send_text(CRITICAL, "Already higher than takeoff altitude")  # it holds its present height
         return True
 
@@ -237,6 +257,8 @@ class Px4(Autopilot):
         if self.armed:
             return None
         if not forced and not self.armable:
+            if self._is_unstable:
+                self.send_text(CRITICAL, UNSTABLE)
             return NOT_HEALTHY
         self._start_motors("Armed by external command")
         return None
@@ -271,7 +293,7 @@ class Px4(Autopilot):
             if self._ground.landed and self.mode is not Px4Mode.TAKEOFF:
                 self.setpoint = AttitudeSetpoint(self.quad.estimated_quaternion(), IDLE_THRUST_NORM)
                 return
-            if self.mode is Px4Mode.TAKEOFF and self._automatic.taken_off():
+            if self.mode is Px4Mode.TAKEOFF and self.has_origin and self._automatic.taken_off():
                 # It holds the commanded height, not the present one.
                 self.mode = Px4Mode.LOITER
                 if self.intended_mode is Px4Mode.TAKEOFF:
@@ -292,6 +314,9 @@ class Px4(Autopilot):
             self._activate_failsafe("LOITER", f": entering Hold for {hold_s:.0f} seconds")
         elif not self.has_position and self.mode in NEED_A_POSITION:
             self._activate_failsafe("LAND")
+        elif self.vision is not None and self._vision_is_back(self.vision):
+            self.failsafe, self.intended_mode = False, Px4Mode.LOITER
+            self._switch(Px4Mode.LOITER)
         elif self.mode is OFFBOARD:
             gap_s = self.time_s - self._stream.newest_s
             if check_is_due and gap_s > self.parameters["COM_OF_LOSS_T"] + STREAM_LOST_GRACE_S:
@@ -303,6 +328,13 @@ class Px4(Autopilot):
 
     def _stream_is_back(self) -> bool:
         return self.streaming and self.time_s - self._stream.since_s >= STREAM_BACK_AFTER_S
+
+    def _vision_is_back(self, vision: ExternalVision) -> bool:
+        """Whether it landed because vision was lost, and has had it again for long enough."""
+        landed_for_it = self.failsafe and self.mode is Px4Mode.LAND and self.intended_mode in NEED_A_POSITION
+        if not landed_for_it or not self.has_position or not self.has_origin:
+            return False
+        return not self.position_lost_s and self.time_s - vision.back_s >= RETURNS_AFTER_S
 
     def _ground_station_is_newly_lost(self) -> bool:
         lost = self.ground_station_lost and int(self.parameters["NAV_DLL_ACT"]) in self.data.ground_station_lost
@@ -324,7 +356,8 @@ class Px4(Autopilot):
         if mode is None:
             self.disarm(forced=True, reason="failsafe")
         else:
-            self._switch(Px4Mode[mode])
+            refused = Px4Mode[mode] in NEED_AN_ORIGIN and not self.has_origin
+            self._switch(Px4Mode.LAND if refused else Px4Mode[mode])
 
     # ------------------------------------------------------------ ground and modes
 
@@ -351,5 +384,8 @@ class Px4(Autopilot):
             self._enter(mode)
 
     def _enter(self, mode: Px4Mode) -> None:
+        if mode is Px4Mode.TAKEOFF and self.armed and not self.has_origin:
+            self.takeoff_altitude_amsl_m = None  # it has no altitude
+            self.send_text(INFO, f"Using default takeoff altitude: {self.parameters['MIS_TAKEOFF_ALT']:.1f} m")
         home = self.return_place() if mode is Px4Mode.RTL else self.home
         self._automatic.enter(mode.task, home, self.takeoff_altitude_amsl_m)

@@ -30,12 +30,14 @@ from sitl.autopilots.link_end import (
     IGNORE_THROTTLE,
     IGNORE_VELOCITY,
     LATER,
+    MAX_DISTANCE_M,
     NO_COORDINATE,
     UNSUPPORTED,
     AutopilotType,
     LinkEnd,
     Receiver,
     Schedule,
+    origin_of,
     turn_of,
 )
 from sitl.autopilots.logs import Answers
@@ -45,7 +47,6 @@ from sitl.autopilots.px4.logs import Px4LogTransfer
 from sitl.vehicle.automatic_flight import Course
 from sitl.vehicle.control import AttitudeSetpoint
 
-MAX_DISTANCE_M = 10_000.0
 GROUND_STATION_LOST_S = 5.0
 MAX_RATE_HZ = 125.0  # 500 Hz is accepted and gives 125
 STATUS_PERIOD_S = 0.51  # of CURRENT_MODE while nothing changes, whatever the interval
@@ -146,7 +147,7 @@ class Px4Schedule(Schedule):
 class Px4Receiver(Receiver):
     """Incoming messages of one link."""
 
-    UNKNOWN_MESSAGE = DENIED
+    UNKNOWN_MESSAGE = NO_DATA = DENIED
     TEXT_ENDS_WITH = "\t"
     _schedule: Px4Schedule
 
@@ -222,9 +223,8 @@ class Px4Receiver(Receiver):
         return (custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF)
 
     def _on_set_gps_global_origin(self, message: MavlinkMessage) -> None:
-        """Every link then sends the new origin. The stand-in's world is flat, so distant origins are rejected."""
-        origin = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
-        if max(map(abs, enu_from_geodetic(*origin, self._px4.quad.world_origin))) <= MAX_DISTANCE_M:
+        """Every link then sends the new origin."""
+        if (origin := origin_of(message, self._px4)) is not None:
             self._px4.set_origin(origin)
 
     # ------------------------------------------------------------ commands

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec import to_builtins
+from msgspec.structs import replace
 
 from sitl.batch.columns import NOT_MODELLED, columns_of
 from sitl.compare.conditions import CONDITIONS
@@ -72,6 +73,13 @@ def test_a_lying_vehicle_is_nothing_for_a_batch() -> None:
     assert scenario.links.false_positions[0].vehicle == 2
     with pytest.raises(ValueError, match=r"a batch does not model links\.false_positions"):
         columns_of([scenario])
+
+
+def test_external_vision_is_nothing_for_a_batch() -> None:
+    scenario = GRAPHS["chain"].scenario(4, 1)
+    by_vision = replace(scenario, stand_in=replace(scenario.stand_in, positioning="external_vision"))
+    with pytest.raises(ValueError, match=r"a batch does not model stand_in\.positioning"):
+        columns_of([by_vision])
 
 
 def test_random_starts_lead_to_the_slots_of_a_grid_without_detours() -> None:
