@@ -16,6 +16,7 @@ from pathlib import Path
 import msgspec
 
 from companion.config.file import ConfigError, read_regular
+from companion.config.validation import in_plain_words
 
 FLEET_VARIABLE, CONNECT_VARIABLE = "COMPANION_FLEET", "COMPANION_CONNECT"
 IDENTITY_VARIABLE = "COMPANION_IDENTITY"
@@ -99,7 +100,9 @@ def load_current(environment: Mapping[str, str]) -> CurrentFleet | None:
     except FileNotFoundError:
         return None
     except (OSError, msgspec.DecodeError) as error:
-        problem = f"cannot be used: {error}; delete it with companion fleet use --clear, or save another"
+        problem = (
+            f"cannot be used: {in_plain_words(error)}; delete it with companion fleet use --clear, or save another"
+        )
         raise ConfigError(file, "", problem) from error
 
 

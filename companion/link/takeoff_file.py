@@ -20,6 +20,7 @@ from msgspec import Meta, Struct
 
 from companion.config.atomic import write_file
 from companion.config.file import read_regular
+from companion.config.validation import in_plain_words
 from companion.config.vehicle import AgentConfig
 from companion.core.estimation.vehicle import VehicleTracker
 from companion.link.tick import monotonic_s
@@ -80,7 +81,7 @@ class TakeoffFile:
         except FileNotFoundError:
             return None
         except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            text = error.strerror if isinstance(error, OSError) else str(error)
+            text = error.strerror if isinstance(error, OSError) else in_plain_words(error)
             _log.warning("%s: is not what an agent keeps of a take-off: %s; ignored", self._path, text)
             return None
         ahead_s = self._ahead_s()

@@ -22,6 +22,7 @@ from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes, Pub
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from msgspec import Meta, Struct
 
+from companion.config.validation import in_plain_words
 from companion.security.names import FORM, ParticipantName, ParticipantRole, parse_common_name
 from companion.types.errors import CompanionError
 from companion.types.values import FleetName, printable
@@ -344,7 +345,7 @@ def _file(signed: SignedList) -> bytes:
 
 
 def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]
+    return " ".join(in_plain_words(error).split())[:200]
 
 
 def _check_signature(payload: bytes, signature: bytes, authority: x509.Certificate) -> None:
