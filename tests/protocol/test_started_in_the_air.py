@@ -63,7 +63,7 @@ def test_without_what_was_kept_it_says_at_once_that_it_must_land_and_does_not_le
         assert autopilot.target_times_s == []
         assert not autopilot.commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
     assert process.log.count(str(kept)) == 1
-    assert "takeoff_1.json: is not what an agent keeps of a take-off: Input data was truncated; ignored" in process.log
+    assert "takeoff_1.json: is not what an agent keeps of a take-off: input data was truncated; ignored" in process.log
 
 
 def next_status(flight: TappedFlight, flags: set[HealthFlag]) -> Status:
