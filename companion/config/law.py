@@ -207,7 +207,7 @@ def parameter_problem(cls: type[Law]) -> str:
     for name, value in vars(cls).items():
         if isinstance(value, bool | int | float | str) and name.islower() and not (name[0] == "_" or name in vars(Law)):
             expected = f"expected {name}: Gain = {value!r} or another type with bounds, or capitals for a constant"
-            return f"{name} has no type, so it is no parameter and nobody can set it; {expected}"
+            return f"{name} has no type, so it is not a parameter and cannot be set; {expected}"
     unbounded = [name for name in cls.__struct_fields__ if not _has_bounds(cls, name)]
     if unbounded:
         return f"{', '.join(unbounded)} without bounds; expected NAME: Annotated[float, Meta(ge=0, le=1)], or Gain"

@@ -112,9 +112,8 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
     string_gain_to_last_rad_s: float | None
     # From the slot, by a constant VELOCITY_ERROR_M_S that the correction does not see; None: the law has a memory
     velocity_error_shift_m: float | None
-    velocity_error_shift_corrected_m: (
-        float | None
-    )  # by one that turns once in ERROR_TURNS_S, with law.velocity_correction_1_s
+    # By one that turns once in ERROR_TURNS_S, with law.velocity_correction_1_s
+    velocity_error_shift_corrected_m: float | None
     transient_peak: float | None  # largest error over the largest at the start
     worst_transient_peak: float | None  # largest peak from any start; None for more than WORST_START_UP_TO vehicles
     time_to_10_cm_s: float | None  # by the rate alone
@@ -163,9 +162,8 @@ class Analysis(Struct, frozen=True, kw_only=True):
     looks_wrong: list[Notice]  # what of the file is probably meant otherwise
     not_read: list[str]  # sections and keys of the file that are not used
     kinds: int  # of vehicles, by autopilot and drag
-    like_vehicle: (
-        int | None
-    )  # of several kinds, all figures are of a fleet like this vehicle, with the least delay to spare
+    # Of several kinds, all figures are of a fleet like this vehicle, with the least delay to spare
+    like_vehicle: int | None
 
 
 def analyse(subject: Subject) -> Analysis:

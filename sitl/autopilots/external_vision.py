@@ -23,7 +23,7 @@ from sitl.vehicle.quadrotor import Quadrotor, about_vertical
 
 FARTHEST_M = 10_000.0  # the stand-in's world is flat; what is farther is no pose
 OLDEST_S = 0.2  # of a pose that is moved on to now; the stamp of an older one counts as of another clock
-COASTS_S, RESTARTS_AFTER_S = 0.2, 0.45  # gaps that change nothing; and after which the estimate is set anew
+COASTS_S, RESTARTS_AFTER_S = 0.2, 0.45  # gaps that change nothing; and after which the estimate is reset
 FOLLOWS_EVERY_S = 0.02
 YAW_FOLLOWS_1_S = 1.0
 TURNED_ABOUT_RAD = 0.75 * pi
