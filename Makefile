@@ -67,7 +67,7 @@ test-real-time: .venv/test.ready
 
 # The live page in Debian's Chromium. Its drawing would starve real flights beside it.
 test-page: page-needs .venv/test.ready
-	$(BIN)/pytest -q -n 2 --dist loadfile tests/page
+	$(BIN)/pytest -q -n 2 tests/page
 
 export CHROMIUM ?= /usr/bin/chromium
 page-needs:

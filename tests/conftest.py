@@ -33,6 +33,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.relative_to(here).parts[0] in REAL_TIME:
             item.add_marker("real_time")
+    _begin_with_the_longest(items)
+
+
+# Of the files with one or two vehicles. Begun last, it keeps one worker when the others have ended.
+LONGEST = "test_logs.py"
+
+
+def _begin_with_the_longest(items: list[pytest.Item]) -> None:
+    """Among the files of its folder."""
+    places = [index for index, item in enumerate(items) if item.path.parent.name == "protocol"]
+    in_order = sorted((items[index] for index in places), key=lambda item: item.path.name != LONGEST)
+    for index, item in zip(places, in_order, strict=True):
+        items[index] = item
 
 
 PAIRS = ("test_fly_external.py", "test_fly_stops.py", "test_return_home.py")  # their fleets have two vehicles

@@ -13,7 +13,7 @@ import ast
 import json
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -32,37 +32,44 @@ DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
+class Module:
+    """A module, read once for all its figures."""
+
+    def __init__(self, text: str) -> None:
+        tree = ast.parse(text)
+        self.text, self.nodes, self.functions = text, list(ast.walk(tree)), list(_functions(tree))
+
+
 def source_budgets() -> Budgets:
     """Today's figures of the source. A group of exceptions has no entry for what needs none."""
-    texts = {path: path.read_text(encoding="utf-8") for path in _sources(PROGRAMS)}
+    modules = {path: Module(path.read_text(encoding="utf-8")) for path in _sources(PROGRAMS)}
     files, lines = Counter[str](), Counter[str]()
-    for path, text in texts.items():
+    for path, module in modules.items():
         package = "/".join(path.relative_to(TOP).parts[:-1][:2])
         files[package] += 1
-        lines[package] += code_lines(text)
+        lines[package] += code_lines(module)
     return {
         "total": {"files": files.total(), "code_lines": lines.total()},
         "files": _sorted(files),
         "code_lines": _sorted(lines),
-        **exceptions(list(texts.values())),
+        **exceptions(list(modules.values())),
     }
 
 
-def exceptions(texts: Iterable[str]) -> Budgets:
+def exceptions(modules: Collection[Module]) -> Budgets:
     """What is too long, named twice or too wide in these modules."""
-    trees = [ast.parse(text) for text in texts]
     return {
-        "lines_of_long_functions": _long_functions(trees),
-        "repeated_class_names": _repeated_classes(trees),
-        "positional_parameters": _wide_functions(trees),
-        "calls_with_many_positional_arguments": _wide_calls(trees),
+        "lines_of_long_functions": _long_functions(modules),
+        "repeated_class_names": _repeated_classes(modules),
+        "positional_parameters": _wide_functions(modules),
+        "calls_with_many_positional_arguments": _wide_calls(modules),
     }
 
 
 def laboratory_exceptions() -> Budgets:
     """Those of the laboratory, without its tests."""
     paths = [path for path in _sources(LABORATORY) if not path.name.startswith("test_")]
-    return exceptions(path.read_text(encoding="utf-8") for path in paths)
+    return exceptions([Module(path.read_text(encoding="utf-8")) for path in paths])
 
 
 def tick_budgets() -> Group:
@@ -99,10 +106,10 @@ def tightened(figures: Budgets, budgets: Budgets) -> Budgets:
     }
 
 
-def code_lines(text: str) -> int:
+def code_lines(module: Module) -> int:
     """Lines of a module that are neither blank, import, comment nor docstring."""
     left_out: set[int] = set()
-    for node in ast.walk(ast.parse(text)):
+    for node in module.nodes:
         match node:
             case ast.Import() | ast.ImportFrom():
                 left_out.update(_lines_of(node))
@@ -110,7 +117,7 @@ def code_lines(text: str) -> int:
                 ast.get_docstring(node) is not None
             ):
                 left_out.update(_lines_of(node.body[0]))
-    counted = (line.strip() for number, line in enumerate(text.splitlines(), start=1) if number not in left_out)
+    counted = (line.strip() for number, line in enumerate(module.text.splitlines(), start=1) if number not in left_out)
     return sum(bool(line) and not line.startswith("#") for line in counted)
 
 
@@ -132,25 +139,25 @@ def _functions(tree: ast.AST, prefix: str = "") -> Iterator[tuple[str, Function]
                 yield from _functions(node, f"{prefix}{name}.")
             case ast.ClassDef(name):
                 yield from _functions(node, f"{prefix}{name}.")
-            case _:
+            case ast.stmt() | ast.ExceptHandler() | ast.match_case():  # no expression holds a function
                 yield from _functions(node, prefix)
 
 
-def _long_functions(trees: list[ast.Module]) -> Group:
-    return _largest((name, len(_lines_of(node)), LONGEST_FUNCTION) for tree in trees for name, node in _functions(tree))
+def _long_functions(modules: Collection[Module]) -> Group:
+    return _largest((name, len(_lines_of(node)), LONGEST_FUNCTION) for one in modules for name, node in one.functions)
 
 
-def _repeated_classes(trees: list[ast.Module]) -> Group:
-    names = Counter(node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+def _repeated_classes(modules: Collection[Module]) -> Group:
+    names = Counter(node.name for one in modules for node in one.nodes if isinstance(node, ast.ClassDef))
     return _sorted({name: count for name, count in names.items() if count > 1})
 
 
-def _wide_functions(trees: list[ast.Module]) -> Group:
+def _wide_functions(modules: Collection[Module]) -> Group:
     """Public functions, methods and constructors; `self` and `cls` do not count."""
     return _largest(
         (name, _positional(node), MOST_POSITIONAL)
-        for tree in trees
-        for name, node in _functions(tree)
+        for one in modules
+        for name, node in one.functions
         if not any(part.startswith("_") and part != "__init__" for part in name.split("."))
     )
 
@@ -160,9 +167,9 @@ def _positional(function: Function) -> int:
     return len([name for name in names if name not in ("self", "cls")])
 
 
-def _wide_calls(trees: list[ast.Module]) -> Group:
+def _wide_calls(modules: Collection[Module]) -> Group:
     """The number of such calls by what is called. Constructors of MAVLink messages have no keywords in their source."""
-    calls = (node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Call))
+    calls = (node for one in modules for node in one.nodes if isinstance(node, ast.Call))
     wide = Counter(ast.unparse(call.func).rpartition(".")[2] for call in calls if len(call.args) > MOST_POSITIONAL)
     return _sorted({name: count for name, count in wide.items() if not name.startswith("MAVLink_")})
 

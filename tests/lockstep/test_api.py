@@ -141,6 +141,7 @@ def test_without_pandas_a_table_is_one_line(flight: FlightData, monkeypatch: pyt
             table()
 
 
+@pytest.mark.long
 def test_the_notebook_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setenv("MPLBACKEND", "Agg")
     monkeypatch.chdir(tmp_path)

@@ -26,6 +26,9 @@ from sitl.flight.virtual_flight import Flown, fly_without_landing
 from sitl.report.metrics import Formation, formation_figures, stand_at
 from sitl.report.progress import FlightProgress
 
+Overrides = tuple[str, ...]
+Cases = tuple[Overrides, ...]
+
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 FLOWN_S = 12.0
 TOLERANCE_M = 1e-4
@@ -50,6 +53,15 @@ CROSSING = (
     LAW_FAR,
 )
 TOO_FAST = ("reference.point_enu_m=[6.0, -4.0, 1.0]", LAW_FAR)
+EQUAL: Cases = (
+    (),
+    (COOPERATIVE, "links.peer_delay_s=0.05"),
+    ("links.telemetry_delay_s=0.01", "links.setpoint_delay_s=0.013"),
+    (COOPERATIVE, *EXCHANGED),
+    (COOPERATIVE, SIDEWAYS_AND_UP, BY_THE_LAW, "fleet.neighbours={kind: range, range_m: 2.0, hysteresis_m: 0.2}"),
+)
+FILTERED: Cases = ((COOPERATIVE, *EXCHANGED), (COOPERATIVE, *CROSSING), TOO_FAST)
+TOGETHER = tuple(dict.fromkeys((*EQUAL, *FILTERED)))  # one batch costs little more than one flight
 FIGURES_WITHIN, ERRORS_WITHIN_M = 0.05, 0.002
 WITH_OBSERVERS = ("fleet.law.disturbance_bandwidth_1_s=4", "fleet.law.velocity_correction_1_s=2")
 IN_WIND = ("stand_in.airframe.drag_n_per_m_s=0.25", "stand_in.wind.mean_enu_m_s=[4.0, 3.0, 0.0]")
@@ -95,12 +107,49 @@ def leader_of(scenario: Scenario) -> int:
     return next(member.id for member in scenario.fleet.vehicles if member.role is Role.LEADER)
 
 
+def from_lockstep(cases: Cases) -> BatchFlight:
+    """Flights of these scenarios in one batch, from the starts of lockstep. They do not affect each other."""
+    scenarios = [scenario_of(*overrides) for overrides in cases]
+    starts = []
+    for overrides, scenario in zip(cases, scenarios, strict=True):
+        flown = in_lockstep(*overrides)
+        starts.append(start_of(scenario, flown, began_s(scenario, flown)))
+    (reference_s,) = {start.reference_s for start in starts}
+    positions_m = np.concatenate([start.positions_enu_m for start in starts])
+    velocities_m_s = np.concatenate([start.velocities_enu_m_s for start in starts])
+    return fly_batch(scenarios, FLOWN_S, start=BatchStart(positions_m, velocities_m_s, reference_s))
+
+
+@cache
+def flown_together() -> BatchFlight:
+    return from_lockstep(TOGETHER)
+
+
+def in_batch(overrides: Overrides) -> BatchFlight:
+    """One flight from the start of lockstep."""
+    if overrides not in TOGETHER:
+        return from_lockstep((overrides,))
+    flight, b = flown_together(), TOGETHER.index(overrides)
+    return BatchFlight(
+        flight.times_s,
+        flight.positions_enu_m[:, b : b + 1],
+        flight.slots_enu_m[b : b + 1],
+        flight.reference_of_formations_enu_m()[:, b : b + 1],
+        None,
+        flight.commanded_m_s2[:, b : b + 1],
+    )
+
+
+def truly_m(batch: BatchFlight, overrides: Overrides) -> FloatArray:
+    """Positions (ticks, n, 3) in lockstep at the times of the batch."""
+    flown = in_lockstep(*overrides)
+    return positions_m(flown, began_s(scenario_of(*overrides), flown) + batch.times_s)
+
+
 def apart_m(*overrides: str) -> FloatArray:
     """Distance (ticks, n) between the flights of one scenario in the batch and in lockstep."""
-    scenario, flown = scenario_of(*overrides), in_lockstep(*overrides)
-    begin_s = began_s(scenario, flown)
-    batch = fly_batch([scenario], FLOWN_S, start=start_of(scenario, flown, begin_s))
-    true_m = positions_m(flown, begin_s + batch.times_s)
+    batch = in_batch(overrides)
+    true_m = truly_m(batch, overrides)
     assert np.abs(true_m - true_m[0]).max() > 0.9  # the vehicles did move
     return np.asarray(np.linalg.norm(batch.positions_enu_m[:, 0] - true_m, axis=2))
 
@@ -108,11 +157,7 @@ def apart_m(*overrides: str) -> FloatArray:
 @pytest.mark.parametrize(
     "overrides",
     [
-        (),
-        (COOPERATIVE, "links.peer_delay_s=0.05"),
-        ("links.telemetry_delay_s=0.01", "links.setpoint_delay_s=0.013"),
-        (COOPERATIVE, *EXCHANGED),
-        (COOPERATIVE, SIDEWAYS_AND_UP, BY_THE_LAW, "fleet.neighbours={kind: range, range_m: 2.0, hysteresis_m: 0.2}"),
+        *EQUAL,
         *(
             pytest.param(overrides, marks=pytest.mark.long)
             for overrides in (
@@ -130,7 +175,7 @@ def apart_m(*overrides: str) -> FloatArray:
     ],
     ids=lambda overrides: " ".join(overrides) or "weighted",
 )
-def test_the_batch_equals_lockstep_with_ideal_sensors(overrides: tuple[str, ...]) -> None:
+def test_the_batch_equals_lockstep_with_ideal_sensors(overrides: Overrides) -> None:
     assert apart_m(*overrides).max() <= TOLERANCE_M
 
 
@@ -182,12 +227,9 @@ def many(start: BatchStart, count: int) -> BatchStart:
     )
 
 
-def figures_of(*overrides: str) -> tuple[BatchFigures, BatchFigures]:
+def figures_of(batch: BatchFlight, overrides: Overrides) -> tuple[BatchFigures, BatchFigures]:
     """Figures of one scenario in the batch and in lockstep."""
-    scenario, flown = scenario_of(*overrides), in_lockstep(*overrides)
-    begin_s = began_s(scenario, flown)
-    batch = fly_batch([scenario], FLOWN_S, start=start_of(scenario, flown, begin_s))
-    return batch_figures(batch), batch_figures(by_agents(batch, positions_m(flown, begin_s + batch.times_s)))
+    return batch_figures(batch), batch_figures(by_agents(batch, truly_m(batch, overrides)))
 
 
 def by_agents(batch: BatchFlight, positions_enu_m: FloatArray) -> BatchFlight:
@@ -206,10 +248,8 @@ def agree(batch: BatchFigures, lockstep: BatchFigures) -> bool:
 
 # A vehicle counts as kept off for whole ticks, and rounding ends that a tick sooner or later: from then on flights under the
 # paper's law differ by millimetres.
-FILTERED = [
-    (COOPERATIVE, *EXCHANGED),
-    (COOPERATIVE, *CROSSING),
-    TOO_FAST,
+FILTERED_FLIGHTS = [
+    *FILTERED,
     *(
         pytest.param(overrides, marks=pytest.mark.long)
         for overrides in (EXCHANGED, (COOPERATIVE, *EXCHANGED, "fleet.law.altitude=hold"))
@@ -217,36 +257,37 @@ FILTERED = [
 ]
 
 
-@pytest.mark.parametrize("overrides", FILTERED, ids=" ".join)
-def test_figures_equal_those_of_lockstep_where_the_filter_acts(overrides: tuple[str, ...]) -> None:
-    assert agree(*figures_of(*overrides))
+@pytest.mark.parametrize("overrides", FILTERED_FLIGHTS, ids=" ".join)
+def test_figures_equal_those_of_lockstep_where_the_filter_acts(overrides: Overrides) -> None:
+    assert agree(*figures_of(in_batch(overrides), overrides))
 
 
-@pytest.mark.parametrize("overrides", FILTERED, ids=" ".join)
-def test_without_the_filter_the_figures_differ(overrides: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("overrides", FILTERED_FLIGHTS, ids=" ".join)
+def test_without_the_filter_the_figures_differ(overrides: Overrides, monkeypatch: pytest.MonkeyPatch) -> None:
     """The comparison is sensitive."""
     nobody = ChangedVehicles(np.zeros(0, dtype=np.int64), np.zeros((3, 0)), np.zeros(0))
     monkeypatch.setattr(BatchFilter, "step", lambda *_: nobody)
-    assert not agree(*figures_of(*overrides))
+    assert not agree(*figures_of(from_lockstep((overrides,)), overrides))
 
 
 def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-@pytest.mark.parametrize("assumed", ["stand_in.seed=1", "assumed.hover_thrust_norm=0.4"])
+@pytest.mark.parametrize(
+    "assumed", [pytest.param("stand_in.seed=1", marks=pytest.mark.long), "assumed.hover_thrust_norm=0.4"]
+)
 def test_errors_in_wind_equal_those_of_lockstep(assumed: str) -> None:
     """The observers have estimated wind and hover thrust by then. Measured: 9 mm apart at most, 1 mm at the end."""
     overrides = (*WITH_OBSERVERS, *IN_WIND, assumed)
-    scenario, flown = scenario_of(*overrides), in_lockstep(*overrides)
-    begin_s = began_s(scenario, flown)
-    batch = fly_batch([scenario], FLOWN_S, start=start_of(scenario, flown, begin_s))
-    lockstep = by_agents(batch, positions_m(flown, begin_s + batch.times_s))
+    batch = in_batch(overrides)
+    lockstep = by_agents(batch, truly_m(batch, overrides))
     final_m = batch_figures(lockstep).final_error_m
     assert batch_figures(batch).final_error_m == pytest.approx(final_m, rel=FIGURES_WITHIN)
     assert rms(batch.errors_m()) == pytest.approx(rms(lockstep.errors_m()), rel=FIGURES_WITHIN)
 
 
+@pytest.mark.long
 def test_effort_and_errors_with_noise_are_those_of_lockstep() -> None:
     """The effort of the second half is by noise: 21 % less without the observers, 9 % less without the corrections."""
     noisy = (*WITH_OBSERVERS, "stand_in.sensors=default")
@@ -276,6 +317,7 @@ def commanded_by_agents_m_s2(flown: Flown, times_s: FloatArray) -> FloatArray:
     return np.array(sizes)
 
 
+@pytest.mark.long
 def test_links_break_and_return_in_one_of_the_scenarios() -> None:
     flight = fly_batch([scenario_of(LINKS_BREAK)], FLOWN_S, keep_neighbours=True)
     assert flight.neighbours is not None

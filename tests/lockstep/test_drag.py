@@ -22,7 +22,11 @@ OBSERVED = (
 
 @pytest.mark.parametrize(
     "overrides",
-    [pytest.param((), marks=pytest.mark.long), ("stand_in.wind.mean_enu_m_s=[2,1,0]",), ("assumed.drag_1_s=0.25",)],
+    [
+        pytest.param((), marks=pytest.mark.long),
+        pytest.param(("stand_in.wind.mean_enu_m_s=[2,1,0]",), marks=pytest.mark.long),
+        ("assumed.drag_1_s=0.25",),
+    ],
     ids=["calm", "wind", "wrong drag"],
 )
 def test_the_fleet_stays_within_a_decimetre_of_the_figure_8(overrides: tuple[str, ...]) -> None:

@@ -106,6 +106,7 @@ def test_a_vehicle_in_hold_is_in_the_way_of_an_exchange(tmp_path: Path) -> None:
     assert (reply.accepted, reply.code) == (False, Code.VEHICLE_IN_THE_WAY)
 
 
+@pytest.mark.long  # in `make test` the tests of true tracks fly it
 def test_the_shipped_exchange_is_flown() -> None:
     scenario = load_scenario(ROOT / "config" / "scenarios" / "exchange.yaml", ["stand_in.sensors=ideal"])
     flight = fly_in_virtual_time(scenario, FlightProgress("test", True, 0.0))

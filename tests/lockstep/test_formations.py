@@ -8,7 +8,7 @@ import pytest
 
 from common import ROOT
 from sitl.flight.scenario import load_scenario, reference_of
-from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
+from sitl.flight.virtual_flight import Flown, fly_without_landing
 from sitl.report.metrics import SAMPLE_S, Track, errors_m, pairs_of, reference_positions_m
 from sitl.report.progress import FlightProgress
 
@@ -18,7 +18,7 @@ IDEAL = "stand_in.sensors=ideal"
 
 @cache
 def flown(*overrides: str) -> Flown:
-    flight = fly_in_virtual_time(load_scenario(SCENARIO, overrides), FlightProgress("test", True, 0.0))
+    flight = fly_without_landing(load_scenario(SCENARIO, overrides), FlightProgress("test", True, 0.0))
     assert flight.failure is None
     return flight
 

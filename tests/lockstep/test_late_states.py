@@ -1,5 +1,6 @@
 """Chains of vehicles whose states arrive with jitter and loss, as batches with ideal sensors."""
 
+import pytest
 from msgspec.structs import replace
 
 from companion.analysis.prediction import settle_time_s
@@ -32,6 +33,7 @@ def test_with_jitter_a_chain_of_16_settles_nearly_as_without() -> None:
     assert time_s < 2.9
 
 
+@pytest.mark.long
 def test_much_jitter_does_not_break_a_chain_of_100() -> None:
     """Extrapolated over the whole age the far end swings by metres: the smallest distance is 0 then."""
     smallest_m, largest_m = distances_m(flown(100, MUCH_JITTER, 25.0))

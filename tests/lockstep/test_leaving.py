@@ -286,8 +286,9 @@ def test_the_gap_is_filled_over_a_bad_network_with_noise() -> None:
     assert fleet.smallest_m(since_s) > 1.4
 
 
-# With ArduCopter the tests of true tracks fly it.
-@pytest.mark.parametrize("autopilot", ["px4", pytest.param("ardupilot", marks=pytest.mark.long)])
+# In `make test` the tests of true tracks fly it, with ArduCopter.
+@pytest.mark.long
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_the_scenario_is_flown_completely(autopilot: str) -> None:
     scenario = load_scenario(SCENARIO, [f"stand_in.autopilot={autopilot}"])
     flight = fly_in_virtual_time(scenario, FlightProgress("test", True, 0.0))

@@ -73,4 +73,4 @@ def f():
 
 
 def test_code_lines_are_neither_blank_nor_imports_comments_or_docstrings() -> None:
-    assert budgets.code_lines(MODULE) == 2
+    assert budgets.code_lines(budgets.Module(MODULE)) == 2

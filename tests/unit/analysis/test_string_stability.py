@@ -123,7 +123,7 @@ def test_no_string_gain_when_all_vehicles_are_leaders() -> None:
 
 @pytest.mark.parametrize("model", [LinearModel(), flown_model(link_s=0.1)], ids=["lag", "flown"])
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("n", [1, 4, 9])
+@pytest.mark.parametrize("n", [1, pytest.param(4, marks=pytest.mark.long), 9])
 def test_prediction_diverges_only_above_the_delay_margin(n: int, law: NeighbourFeedback, model: LinearModel) -> None:
     coupling = chained(n, law)
     margin_s = delay_margin_with_lag_s(coupling, model)

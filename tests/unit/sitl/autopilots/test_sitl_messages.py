@@ -340,7 +340,7 @@ def messages(draw: st.DrawFn) -> MavlinkMessage:
     return M.MAVLink_param_set_message(1, 1, name.encode(), parameters[0], draw(st.sampled_from([6, 9])))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.lists(messages(), min_size=1, max_size=12), st.booleans())
 def test_no_message_makes_the_state_invalid(incoming: list[MavlinkMessage], flying: bool) -> None:
     vehicle = Px4OnBytes()

@@ -23,15 +23,15 @@ THREE = (
 
 
 def test_a_flight_starts_at_rest_over_its_starts_and_ends_in_its_slots() -> None:
-    flight = fly_batch([platoon("fleet.law={name: cooperative}")] * 2, 20.0)
-    assert flight.times_s.size == 1001
-    assert flight.times_s[[0, -1]] == pytest.approx([0.0, 20.0])
-    assert flight.positions_enu_m.shape == (1001, 2, 4, 3)
+    flight = fly_batch([platoon("fleet.law={name: cooperative}")] * 2, 12.0)
+    assert flight.times_s.size == 601
+    assert flight.times_s[[0, -1]] == pytest.approx([0.0, 12.0])
+    assert flight.positions_enu_m.shape == (601, 2, 4, 3)
     assert flight.positions_enu_m[0, 1, 3] == pytest.approx([-4.5, 0.0, 1.0])
     assert flight.errors_m()[0] == pytest.approx(np.ones((2, 4)))
     assert flight.errors_m()[-1].max() < 0.1
     assert flight.neighbours is None
-    assert flight.reference_enu_m.shape == (1001, 3)
+    assert flight.reference_enu_m.shape == (601, 3)
 
 
 def test_vehicles_are_sorted_by_id_for_any_order_in_the_file() -> None:

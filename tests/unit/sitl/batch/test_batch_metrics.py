@@ -32,7 +32,7 @@ SCENARIOS = [
 
 @pytest.fixture(scope="module")
 def flight() -> BatchFlight:
-    return fly_batch(SCENARIOS, 25.0)
+    return fly_batch(SCENARIOS, 12.0)
 
 
 def one_by_one(flight: BatchFlight, b: int, scenario: Scenario) -> FormationFigures:
