@@ -165,7 +165,8 @@ def test_ctrl_c_lands_and_writes_the_folder(tmp_path: Path) -> None:
 
 
 def test_the_scenario_is_flown_with_ardupilot(tmp_path: Path) -> None:
-    done = run(PLATOON, "--out", tmp_path, "--autopilot", "ardupilot", "--set", "timeline[3].for_s=40", "--quiet")
+    settles = ("--law", "cooperative", "--set", "timeline[3].for_s=8")
+    done = run(PLATOON, "--out", tmp_path, "--autopilot", "ardupilot", *settles, "--quiet")
     assert done.returncode == 0, done.stdout + done.stderr
     assert load_scenario(tmp_path / "scenario.yaml").stand_in.autopilot is AutopilotKind.ARDUPILOT
     summary = read_summary(tmp_path / "summary.json")
