@@ -48,8 +48,8 @@ def _add_provision(parser: argparse.ArgumentParser) -> None:
 
 def _run_provision(options: argparse.Namespace) -> int:
     """Make the identities with which the participants of a fleet know each other: vehicles, ground
-    stations, monitors, targets and sources of traffic. An authority of the fleet signs a certificate
-    for each, and the list of all that are admitted. DIR is the folder that companion init wrote.
+    stations, monitors, targets, sources of traffic and motion-capture systems. An authority of the
+    fleet signs a certificate for each, and the list of all that are admitted. DIR is the folder that companion init wrote.
 
     examples:
       companion init field --vehicles 3 --origin 47.3977 8.5456 488
@@ -83,6 +83,7 @@ def _add_new(parser: argparse.ArgumentParser) -> None:
         ("monitor", "monitors, which only read"),
         ("target", "targets, which publish the target of this name"),
         ("traffic", "sources of traffic, which publish vehicles outside the fleet"),
+        ("mocap", "motion-capture systems, which publish the poses of the vehicles"),
     ):
         parser.add_argument(f"--{option}", nargs="+", default=[], type=_id_of(option), metavar="NAME", help=words)
     _add_days(parser)
@@ -126,7 +127,7 @@ def _new(options: argparse.Namespace) -> str:
     from companion.security.provision_report import new_text
     from companion.security.provisioning import provision_new
 
-    wanted = [*options.ground, *options.monitor, *options.target, *options.traffic]
+    wanted = [*options.ground, *options.monitor, *options.target, *options.traffic, *options.mocap]
     return new_text(provision_new(options.folder, wanted, _default_ground(), options.days, _now()))
 
 

@@ -1,9 +1,10 @@
-"""Publishers of what flies or moves outside the fleet: the target of a reference, and vehicles to keep away from."""
+"""Publishers for the vehicles: the target of a reference, traffic outside the fleet, and motion-capture poses."""
 
 from __future__ import annotations
 
 import secrets
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -12,9 +13,9 @@ import zenoh
 
 from companion.geometry.frames import enu_from_geodetic
 from companion.ground.session import GroundConnection
-from companion.types.peers import TargetSample, TrafficSample
+from companion.types.peers import BodyPose, TargetSample, TrafficSample
 from companion.types.values import Vector3
-from companion.wire.keys import target_key, traffic_key
+from companion.wire.keys import pose_key, target_key, traffic_key
 from companion.wire.messages import encode
 
 if TYPE_CHECKING:
@@ -127,3 +128,35 @@ class TrafficPublisher(GroundConnection):
             position_enu_m = enu_from_geodetic(latitude_deg, longitude_deg, altitude_m + height.add_m, origin_deg_deg_m)
             sample = TrafficSample(position_enu_m, velocity_enu_m_s, age_s, error_m)
         self._put(name, sample)
+
+
+class PosePublisher(GroundConnection):
+    """Poses of the vehicles in the fleet frame, as a motion-capture system measures them.
+
+    `source` names the system; with an identity it is the id of its certificate. Vehicles use one source at a time.
+    """
+
+    def __init__(
+        self, fleet: str, connect: Sequence[str], source: str = "main", identity: Identity | None = None
+    ) -> None:
+        super().__init__(connect, identity)
+        self._fleet, self._source = fleet, identity.id if identity else source
+        self._number = secrets.randbits(32)
+        self._published: Counter[int] = Counter()
+
+    def publish(
+        self,
+        vehicle_id: int,
+        position_enu_m: Vector3,
+        quaternion: tuple[float, float, float, float],
+        age_s: float = 0.0,
+    ) -> None:
+        """The pose of a vehicle, measured `age_s` ago. `quaternion` (w, x, y, z) turns its FLU body into ENU."""
+        self._published[vehicle_id] += 1
+        sequence, sent_s = self._published[vehicle_id], time.monotonic()
+        self.session.put(
+            pose_key(self._fleet, self._source, vehicle_id),
+            encode(BodyPose(self._number, sequence, sent_s, position_enu_m, quaternion, age_s)),
+            congestion_control=zenoh.CongestionControl.DROP,
+            express=True,
+        )

@@ -20,6 +20,7 @@ class ParticipantRole(StrEnum):
     MONITOR = "monitor"
     TARGET = "target"
     TRAFFIC = "traffic"
+    MOCAP = "mocap"
 
 
 LOWER_CASE = ("[a-z0-9][a-z0-9_-]{0,31}", "at most 32 lower-case letters, digits, - and _, a letter or digit first")
@@ -31,6 +32,7 @@ IDS = {  # pattern of the ids of each role, and how messages describe it
     ParticipantRole.TARGET: (FLEET_NAME, "at most 41 lower-case letters, digits, - and _, a letter or digit first"),
     # As in the key of a traffic sample
     ParticipantRole.TRAFFIC: ("[A-Za-z0-9_-]{1,32}", "at most 32 letters, digits, - and _"),
+    ParticipantRole.MOCAP: LOWER_CASE,
 }
 
 

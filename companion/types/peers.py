@@ -1,4 +1,4 @@
-"""Messages of others: peers of the fleet, targets, and traffic that a receiver of ADS-B or a tracking system reports."""
+"""Messages of others: peers of the fleet, targets, traffic that a receiver of ADS-B reports, and motion-capture poses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from msgspec import Meta, Struct
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference, LeaderBeacon
-from companion.types.values import Number, Part, Place, Position, Vector3, VehicleId
+from companion.types.values import Finite, Number, Part, Place, Position, Vector3, VehicleId
 
 FORGOTTEN_S = 600.0  # a vehicle that is silent for so long is no obstacle any more: its battery lasts no longer
 MOST_LOST = 8  # so many in a packet
@@ -149,3 +149,22 @@ class ReceivedTraffic(Struct, frozen=True, gc=False):
     received_s: float
     name: str
     sample: TrafficSample
+
+
+Unit = Annotated[float, Meta(ge=-1.0, le=1.0)]
+MAX_POSE_AGE_S = 10.0
+
+
+class BodyPose(Struct, frozen=True, gc=False, forbid_unknown_fields=True):
+    """Pose of a vehicle in the fleet frame, as a motion-capture system measured it, `age_s` old when sent.
+
+    `quaternion` (w, x, y, z) turns the FLU body into ENU. `sent_s` is of the sender's monotonic clock; `session` tells a
+    restart (sequence 0) from a replay. Each vehicle has a sequence of its own.
+    """
+
+    session: Number
+    sequence: Number
+    sent_s: Finite
+    position_enu_m: Position
+    quaternion: tuple[Unit, Unit, Unit, Unit]
+    age_s: Annotated[float, Meta(ge=0, le=MAX_POSE_AGE_S)] = 0.0

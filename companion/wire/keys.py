@@ -57,6 +57,11 @@ def traffic_key(fleet: str, source: str, name: str) -> str:
     return f"{ROOT}/{fleet}/traffic/{source}/{name}"
 
 
+def pose_key(fleet: str, source: str, vehicle_id: int) -> str:
+    """Key under which a motion-capture system publishes the pose of a vehicle, as a BodyPose."""
+    return f"{ROOT}/{fleet}/pose/{source}/{vehicle_id}"
+
+
 def pairing_key(fleet: str, sender_id: int | str, receiver_id: int) -> str:
     """Key under which a vehicle gives another one the key of its datagrams. Only that one may receive it."""
     return f"{ROOT}/{fleet}/pairing/{sender_id}/{receiver_id}"
@@ -86,6 +91,12 @@ def traffic_of(key: str) -> tuple[str, str] | None:
     """Source and name of the traffic under this received key; None for another key."""
     parts = parts_of(key, "traffic", 2)
     return (parts[1], parts[2]) if parts else None
+
+
+def pose_source_of(key: str) -> str | None:
+    """Name of the source that publishes a pose under this received key; None for another key."""
+    parts = parts_of(key, "pose", 2)
+    return parts[1] if parts else None
 
 
 def pairing_sender_of(key: str) -> int | None:

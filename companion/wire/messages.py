@@ -22,6 +22,7 @@ from companion.types.notices import Code
 from companion.types.peers import (
     MOST_LOST,
     MOST_VALUES,
+    BodyPose,
     LeaderReport,
     LostAge,
     LostVehicle,
@@ -143,7 +144,7 @@ _command_decoder = msgspec.msgpack.Decoder(Command)
 _reply_decoder = msgspec.msgpack.Decoder(CommandReply)
 
 
-def encode(message: StatusReport | Command | CommandReply | TargetSample | TrafficSample) -> bytes:
+def encode(message: StatusReport | Command | CommandReply | TargetSample | TrafficSample | BodyPose) -> bytes:
     """The message as a MessagePack map behind the version byte."""
     return seal(_encoder.encode(flat_report(message) if isinstance(message, StatusReport) else message))
 
@@ -188,6 +189,14 @@ _traffic_decoder = msgspec.msgpack.Decoder(TrafficSample)
 def decode_traffic(data: bytes) -> TrafficSample:
     """The traffic sample of a message, every number within its bounds. Raises WireError."""
     return decode_sealed(_traffic_decoder, data, Code.TRAFFIC_MALFORMED, "traffic sample")
+
+
+_pose_decoder = msgspec.msgpack.Decoder(BodyPose)
+
+
+def decode_pose(data: bytes) -> BodyPose:
+    """The pose of a message, every number within its bounds; `PoseJudge` checks the rest. Raises WireError."""
+    return decode_sealed(_pose_decoder, data, Code.POSE_MALFORMED, "pose")
 
 
 _BeaconWire = tuple[VehicleId, Number, Number, float, Number, tuple[float, float, float] | None]

@@ -31,6 +31,7 @@ from companion.wire.keys import (
     distant_key,
     pairing_key,
     peer_key,
+    pose_key,
     reply_key,
     status_key,
     target_key,
@@ -289,6 +290,8 @@ def keys_between(sender: ParticipantName, receiver: ParticipantName, fleet: str)
             return (target_key(fleet, sender.id),), (target_key(fleet, ANY),)
         if sender.role is ParticipantRole.TRAFFIC:
             return (traffic_key(fleet, sender.id, ANY),), (traffic_key(fleet, ANY, ANY),)
+        if sender.role is ParticipantRole.MOCAP:
+            return (pose_key(fleet, sender.id, i),), (pose_key(fleet, ANY, i),)
     return NOTHING
 
 

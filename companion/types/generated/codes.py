@@ -195,6 +195,7 @@ class Code(StrEnum):
     PEER_MALFORMED = "PEER_MALFORMED"
     TRAFFIC_MALFORMED = "TRAFFIC_MALFORMED"
     TARGET_MALFORMED = "TARGET_MALFORMED"
+    POSE_MALFORMED = "POSE_MALFORMED"
     REPORT_MALFORMED = "REPORT_MALFORMED"
     GROUND_STATION_OWN_ID = "GROUND_STATION_OWN_ID"
     GROUND_STATION_SETPOINT = "GROUND_STATION_SETPOINT"
@@ -356,6 +357,7 @@ TEXTS: dict[str, str] = {
     "PEER_MALFORMED": "malformed peer packet",
     "TRAFFIC_MALFORMED": "malformed traffic sample, or a number out of range",
     "TARGET_MALFORMED": "malformed target sample",
+    "POSE_MALFORMED": "malformed motion-capture pose, or a number out of range",
     "REPORT_MALFORMED": "malformed status report or command reply",
     "GROUND_STATION_OWN_ID": "ground station packet with this vehicle's own system id",
     "GROUND_STATION_SETPOINT": "setpoint from the ground station; change the mode first",

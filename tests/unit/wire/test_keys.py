@@ -10,6 +10,8 @@ from companion.wire.keys import (
     LONGEST_KEY,
     pairing_key,
     pairing_sender_of,
+    pose_key,
+    pose_source_of,
     reply_fleet_of,
     reply_key,
     target_key,
@@ -18,15 +20,16 @@ from companion.wire.keys import (
     traffic_of,
 )
 
-DECODERS = (target_of, traffic_of, pairing_sender_of, reply_fleet_of)
+DECODERS = (target_of, traffic_of, pose_source_of, pairing_sender_of, reply_fleet_of)
 PIECES = st.sampled_from(
-    ("formation", "platoon", "traffic", "target", "reply", "pairing", "*", "**", "$*", "", "1", "\u0661")
+    ("formation", "platoon", "traffic", "target", "reply", "pairing", "pose", "*", "**", "$*", "", "1", "\u0661")
 )
 
 
 def test_a_true_key_gives_its_parts() -> None:
     assert target_of(target_key("platoon", "walker")) == "walker"
     assert traffic_of(traffic_key("platoon", "main", "4b1805")) == ("main", "4b1805")
+    assert pose_source_of(pose_key("platoon", "hall", 3)) == "hall"
     assert pairing_sender_of(pairing_key("platoon", 12, 3)) == 12
     assert reply_fleet_of(reply_key("platoon", 3)) == "platoon"
 
@@ -45,6 +48,7 @@ def test_a_true_key_gives_its_parts() -> None:
         "formation/platoon/traffic//a",
         "formation/platoon/target/",
         "formation/platoon/target/\x1b[2J",
+        "formation/platoon/pose/main/*",
         "formation/platoon/pairing/*/1",
         "formation/platoon/pairing/\u0662/1",
         "formation/platoon/pairing/1000/1",

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from math import inf, nan
+from typing import Any
+
 import pytest
+from msgspec.structs import replace
 
 from companion.types.autopilot import LandedState, PositionError
 from companion.types.commands import Command, CommandName, CommandReply, Lead, ReferenceChange
@@ -10,6 +14,7 @@ from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
 from companion.types.peers import (
+    BodyPose,
     LeaderReport,
     LostVehicle,
     Motion,
@@ -39,8 +44,10 @@ from companion.wire.messages import (
     Percentiles,
     StatusReport,
     Timing,
+    WireError,
     decode_command,
     decode_peer,
+    decode_pose,
     decode_reply,
     decode_report,
     decode_target,
@@ -191,6 +198,7 @@ TARGETS = {
     "joystick": TargetSample(1, 2, 3.5, (1.0, 0.5, 0.25)),
     "target": TargetSample(2**32 - 1, 7, 12.5, (1.0, -2.0, 0.5), (4.0, 5.0, 6.0)),
 }
+POSE = BodyPose(1, 2, 3.5, (1.5, -2.5, 0.5), (0.0, 0.0, 0.0, 1.0), 0.25)
 TRAFFIC = TrafficSample((100.5, 200.5, 300.5), (10.5, 20.5, 30.5), 0.5, 7.5)
 
 BYTES = {
@@ -322,6 +330,11 @@ BYTES = {
         5f656e755f6d5f7393cb4025000000000000cb4034800000000000cb403e800000000000a56167655f73cb3fe0000000000000a76572
         726f725f6dcb401e000000000000a6686569676874a5666c656574
     """,
+    "pose": """
+        0b86a773657373696f6e01a873657175656e636502a673656e745f73cb400c000000000000ae706f736974696f6e5f656e755f6d93cb
+        3ff8000000000000cbc004000000000000cb3fe0000000000000aa7175617465726e696f6e94cb0000000000000000cb000000000000
+        0000cb0000000000000000cb3ff0000000000000a56167655f73cb3fd0000000000000
+    """,
 }
 
 
@@ -363,3 +376,20 @@ def test_traffic_sample() -> None:
     data = bytes.fromhex(BYTES["traffic"])
     assert encode(TRAFFIC).hex() == data.hex()
     assert decode_traffic(data) == TRAFFIC
+
+
+def test_pose() -> None:
+    data = bytes.fromhex(BYTES["pose"])
+    assert encode(POSE).hex() == data.hex()
+    assert decode_pose(data) == POSE
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"position_enu_m": (nan, 0.0, 0.0)}, {"quaternion": (1.5, 0.0, 0.0, 0.0)}, {"age_s": 11.0}, {"sent_s": inf}],
+    ids=str,
+)
+def test_pose_with_a_number_that_is_none_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(WireError) as refused:
+        decode_pose(encode(replace(POSE, **wrong)))
+    assert refused.value.code is Code.POSE_MALFORMED

@@ -16,6 +16,7 @@ from secured_fleet import provisioned
 
 NAMES = (
     "vehicle-1", "vehicle-2", "vehicle-3.2", "ground-anna", "ground-ben", "monitor-tower", "target-beacon", "traffic-adsb",
+    "mocap-hall",
 )  # fmt: skip
 PARTICIPANTS = tuple(map(parse_common_name, NAMES))
 
@@ -35,6 +36,7 @@ def keys(sender: str, receiver: str) -> set[str]:
         ("ground-anna", "vehicle-2", {"command/2/ground-anna", "abort/2/ground-anna", "admitted/ground-anna"}),
         ("target-beacon", "vehicle-2", {"target/beacon"}),
         ("traffic-adsb", "vehicle-2", {"traffic/adsb/*"}),
+        ("mocap-hall", "vehicle-2", {"pose/hall/2"}),
         ("monitor-tower", "vehicle-2", set()),
         ("ground-anna", "ground-ben", set()),
         ("vehicle-1", "target-beacon", set()),
