@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta, convert, field, to_builtins
@@ -193,6 +194,31 @@ class ModeRefusal(Section, frozen=True):
     modes: Annotated[tuple[str, ...], Meta(min_length=1)]
 
 
+class CaptureFault(Section, frozen=True):
+    """A time in which the motion-capture system shows one vehicle wrongly; for stand-ins with external vision.
+
+    kind: `lost`: not tracked; `swapped`: this vehicle and the other have each other's poses; `flipped`: turned about its
+        own z axis; `frozen`: as it was at the beginning; `late`: as it was 0.3 s before
+    for_s: how long it lasts
+    other: the other vehicle, of `swapped`
+    turn_deg: the angle, of `flipped`
+    """
+
+    kind: Literal["lost", "swapped", "flipped", "frozen", "late"]
+    vehicle: VehicleId
+    at_s: FlightTime
+    for_s: Annotated[float, Meta(gt=0, le=36_000)]
+    other: VehicleId | None = None
+    turn_deg: Literal[90, 180] = 180
+
+    def contradictions(self) -> Iterator[tuple[str, str]]:
+        """Keys that contradict others, each with the problem."""
+        if (self.kind == "swapped") is (self.other is None):
+            yield "other", "expected with swapped, and with no other kind"
+        elif self.other == self.vehicle:
+            yield "other", f"{self.other}: expected another vehicle"
+
+
 class OwnStandIn(Section, frozen=True):
     """What may differ from vehicle to vehicle.
 
@@ -247,10 +273,12 @@ class StandIn(OwnStandIn, frozen=True):
 class StandIns(StandIn, frozen=True):
     """The simulated vehicles of a scenario, and the wind.
 
+    capture_faults: wrong poses of the motion-capture system
     vehicles: by id, the keys in which single vehicles differ: autopilot, armable_after_s, airframe, positioning,
         sensors, clock_slow_percent, parameters. All others are as for the whole fleet; parameters only of the same autopilot
     """
 
+    capture_faults: tuple[CaptureFault, ...] = ()
     vehicles: dict[VehicleId, dict[str, Any]] = field(default_factory=dict)  # as written: only what differs
 
     def of(self, vehicle_id: int) -> StandIn:
