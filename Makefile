@@ -119,14 +119,14 @@ clean:
 
 .venv/fly.ready: .venv/bin/python pyproject.toml constraints.txt
 	@echo "Installing the project and its ground tools into .venv (half a minute) ..."
-	$(BIN)/$(PIP_INSTALL) --editable '.[ground]'
+	$(BIN)/$(PIP_INSTALL) --editable '.[ground,mocap]'
 	$(BIN)/python -m compileall -q companion sitl
 	@touch $@
 
 # MAVProxy is an independent client in the tests; its windows (OpenCV, VTK) are not needed.
 .venv/test.ready: .venv/fly.ready
 	@echo "Installing what tests and checks need into .venv (half a minute) ..."
-	$(BIN)/$(PIP_INSTALL) --editable '.[ground,cluster,test,check]'
+	$(BIN)/$(PIP_INSTALL) --editable '.[ground,mocap,cluster,test,check]'
 	$(BIN)/$(PIP_INSTALL) --no-deps MAVProxy==1.8.75
 	@touch $@
 

@@ -10,6 +10,7 @@ from companion.cli.analyze import ANALYZE, EXPLAIN
 from companion.cli.fleet import FLEET
 from companion.cli.init import INIT
 from companion.cli.law import LAW
+from companion.cli.mocap import MOCAP
 from companion.cli.monitor import MONITOR
 from companion.cli.program import Program, completion
 from companion.cli.provision import PROVISION
@@ -31,7 +32,7 @@ PROGRAM = Program(
     name="companion",
     description="Formation flight for quadrotors with an onboard computer.",
     commands=(
-        *(AGENT, DOCTOR, LOGS, FLEET, MONITOR, REPORT, REPLAY, EXPORT),
+        *(AGENT, DOCTOR, LOGS, FLEET, MONITOR, MOCAP, REPORT, REPLAY, EXPORT),
         *(ANALYZE, EXPLAIN, LAW, INIT, PROVISION, completion("companion", parser)),
     ),
     title="commands",

@@ -20,6 +20,7 @@ from companion.config.planned_flight import ScenarioFleet
 from companion.config.reference import Reference, ReferenceSection
 from companion.config.values import PositionM, Section
 from companion.config.vehicle import VehicleConfig
+from companion.ground.mocap.file import MocapFile
 from sitl.flight.external import ExternalFile
 from sitl.flight.scenario import ScenarioFile
 from sitl.vehicle.config import AutopilotFile
@@ -44,6 +45,7 @@ FILES: tuple[tuple[str, str, type[Struct]], ...] = (
     ("External file", "`sitl fly --external FILE`: autopilots that another program has started.", ExternalFile),
     ("Slots file", "`companion fleet formation --slots FILE`.", SlotsSection),
     ("Reference file", "`companion fleet reference --file FILE`.", ReferenceSection),
+    ("Camera file", "`companion mocap run FILE`: a motion-capture system and its rigid bodies.", MocapFile),
     ("Stand-in file", "`sitl autopilot --config FILE`: one simulated vehicle by itself.", AutopilotFile),
 )
 UNITS = {  # by the end of a key, the longest first

@@ -13,14 +13,16 @@ from companion.config.fleet import FleetConfig, GeodeticOrigin
 from companion.config.named_files import carried
 from companion.config.values import MAX_DRAG_1_S, VehicleId
 from companion.config.vehicle import DatagramEndpoints, RecordingSettings, VehicleConfig, ZenohEndpoints
+from companion.ground.mocap.file import MocapFile
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import AutopilotKind
 from sitl.autopilots.autopilot import known_or
 from sitl.autopilots.types import AUTOPILOT_TYPES, hover_thrust_norm
 from sitl.flight.external import ReachedVehicle
 from sitl.flight.scenario import Scenario
+from sitl.links.cameras import CamerasFile, body_name
 from sitl.links.emulated_network import NetworkFile, emulated_host
-from sitl.links.ports import LOOPBACK, ports_of, states_group, zenoh_endpoint
+from sitl.links.ports import LOOPBACK, capture_ports, ports_of, states_group, zenoh_endpoint
 from sitl.vehicle.config import AutopilotFile, Links, StandIn
 
 ARMABLE_IN_SCENARIOS_S = 4.0
@@ -50,16 +52,63 @@ def estimated_path(folder: Path, vehicle_id: int) -> Path:
 def write_files(
     scenario: Scenario, folder: Path, port_offset: int, external: Mapping[int, ReachedVehicle] | None = None
 ) -> None:
-    """scenario.yaml as flown, fleet.yaml, vehicle_N.yaml, autopilot_N.yaml for stand-ins, network.yaml for disturbed links."""
+    """scenario.yaml as flown, fleet.yaml, vehicle_N.yaml, autopilot_N.yaml for stand-ins.
+
+    Also network.yaml for disturbed links, and what `write_cameras` writes where stand-ins have no GPS.
+    """
     write_scenario(scenario, folder)
     _write_yaml(folder / "fleet.yaml", _on_this_machine(scenario, port_offset))
+    captured = captured_ids(scenario) if external is None else []
     for vehicle_id in ids_of(scenario):
         reached = reached_stand_in(scenario, vehicle_id, port_offset) if external is None else external[vehicle_id]
         _write_yaml(folder / f"vehicle_{vehicle_id}.yaml", vehicle_file(scenario, reached, port_offset))
         if external is None:
-            _write_yaml(autopilot_path(folder, vehicle_id), autopilot_file(scenario, vehicle_id))
+            seen_by = capture_ports(port_offset).truth if vehicle_id in captured else None
+            content = replace(autopilot_file(scenario, vehicle_id), truth_port=seen_by)
+            _write_yaml(autopilot_path(folder, vehicle_id), content)
+    if captured:
+        write_cameras(scenario, folder, port_offset)
     if scenario.links.disturb_peers:
         write_network(scenario, scenario.links, folder, port_offset)
+
+
+def cameras_path(folder: Path) -> Path:
+    return folder / "cameras.yaml"
+
+
+def mocap_path(folder: Path) -> Path:
+    return folder / "mocap.yaml"
+
+
+def captured_ids(scenario: Scenario) -> list[VehicleId]:
+    """The vehicles that a motion-capture system sees: those of a fleet indoors whose stand-ins have no GPS."""
+    if scenario.fleet.origin != "indoor":
+        return []
+    return [i for i in ids_of(scenario) if scenario.stand_in_of(i).positioning == "external_vision"]
+
+
+def write_cameras(scenario: Scenario, folder: Path, port_offset: int) -> None:
+    """cameras.yaml of the motion-capture system, and mocap.yaml of `companion mocap`, which reads it."""
+    captured, ports, stand_in = captured_ids(scenario), capture_ports(port_offset), scenario.stand_in
+    cameras = CamerasFile(
+        vehicles=tuple(captured),
+        port=ports.natnet,
+        data_port=ports.data,
+        truth_port=ports.truth,
+        seed=stand_in.seed,
+        faults=stand_in.capture_faults,
+    )
+    mocap = MocapFile(
+        fleet="fleet.yaml",
+        system="natnet",
+        host=LOOPBACK,
+        port=ports.natnet,
+        up=cameras.up,
+        forward=cameras.forward,
+        bodies={body_name(i): i for i in captured},
+    )
+    _write_yaml(cameras_path(folder), cameras)
+    _write_yaml(mocap_path(folder), mocap)
 
 
 def network_path(folder: Path) -> Path:

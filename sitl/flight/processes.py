@@ -16,8 +16,9 @@ from companion.ground.publishers import TargetPublisher
 from companion.types.values import Vector3
 from sitl.flight.director import MovingTargets
 from sitl.flight.external import ReachedVehicle
-from sitl.flight.files import autopilot_path, ids_of, network_path, truth_path, write_files
+from sitl.flight.files import autopilot_path, cameras_path, ids_of, mocap_path, network_path, truth_path, write_files
 from sitl.flight.scenario import Scenario
+from sitl.links.ports import zenoh_endpoint
 
 AGENT_ENDS_WITHIN_S = 5.0  # it first hands over to the autopilot
 STAND_IN_ENDS_WITHIN_S = 3.0
@@ -27,7 +28,7 @@ STAND_INS_PER_PROCESS = 16  # a third of a core; alone each of them would take t
 
 @dataclass(frozen=True, slots=True)
 class Child:
-    """One process of a fleet. `name` is "agent 3", "autopilot 3", "autopilots 1 to 4" or "network", which has no vehicle."""
+    """One process of a fleet. `name` is "agent 3", "autopilot 3", "autopilots 1 to 4", or without a vehicle "network"."""
 
     name: str
     vehicle_ids: tuple[int, ...]
@@ -75,10 +76,16 @@ class FleetProcesses(AbstractContextManager["FleetProcesses"]):
         try:
             if network_path(folder).exists():
                 fleet._spawn("network", (), "sitl.links.emulated_network", str(network_path(folder)), folder=folder)
+            if cameras_path(folder).exists():
+                fleet._spawn("cameras", (), "sitl.links.cameras", str(cameras_path(folder)), folder=folder)
             for ids in stand_ins:
                 fleet._start_stand_ins(folder, ids, port_offset)
             for vehicle_id in ids_of(scenario):
                 fleet._start_agent(folder, vehicle_id)
+            if cameras_path(folder).exists():
+                endpoints = [zenoh_endpoint(i, port_offset) for i in ids_of(scenario)]
+                reading = ("mocap", "run", str(mocap_path(folder)), "--connect", *endpoints)
+                fleet._spawn("mocap", (), "companion", *reading, folder=folder)
         except BaseException:  # also an interruption: started processes must not remain
             fleet.kill()
             raise

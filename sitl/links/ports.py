@@ -35,6 +35,19 @@ def ports_of(vehicle_id: int, offset: int = 0) -> Ports:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class CapturePorts:
+    """UDP ports of the motion-capture system of a fleet."""
+
+    natnet: int  # commands and frames
+    data: int  # frames, at clients
+    truth: int  # true poses of the stand-ins
+
+
+def capture_ports(offset: int) -> CapturePorts:
+    return CapturePorts(21_510 + offset, 21_511 + offset, 21_512 + offset)
+
+
 def states_group(vehicle_ids: Iterable[int], offset: int) -> str:
     """Multicast group and port for the states of a fleet: a UDP port of its own, that of the agent with the lowest id."""
     return f"239.255.77.1:{ports_of(min(vehicle_ids), offset).zenoh}"

@@ -26,6 +26,7 @@ from companion.link.tick import LateLoopLog
 from sitl.autopilots.autopilot import DT_S, Autopilot, AutopilotAbortedError
 from sitl.autopilots.link_end import LinkEnd
 from sitl.autopilots.types import AUTOPILOT_TYPES
+from sitl.links.cameras import truth_datagram
 from sitl.links.ports import GROUND_STATION_PORT, LOOPBACK, Ports
 from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.truth import TRUTH_HEADER, truth_row
@@ -35,6 +36,7 @@ DATAGRAMS_PER_STEP = 64  # of one link; the rest waits for the next step
 MOST_WAITING_BYTES = 65_536  # for a client that does not read; further packets are dropped
 MAX_LAG_S = 0.5  # longer pauses of the machine are skipped
 TRUTH_STEPS, FLUSH_STEPS = 5, 250
+CAPTURE_STEPS = 2  # between true poses for a motion-capture system
 GROUPS = 4  # of vehicles, 1 ms after each other
 PORT_HINT = "stop what uses the port, or move all ports with --port-offset"
 
@@ -221,7 +223,12 @@ class _Vehicle:
             with _named_port("TCP", ports.tcp):
                 self._links.append((end, stack.enter_context(closing(TcpSocketLink(end, ports.tcp, selector)))))
             where = f"TCP {ports.tcp}, {where}"
-        self._steps = 0
+        self._steps, self._id = 0, file.id
+        self._cameras: socket.socket | None = None
+        if file.truth_port:
+            self._cameras = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            self._cameras.connect((LOOPBACK, file.truth_port))
+            self._cameras.setblocking(False)
         print(f"vehicle {file.id}: MAVLink on {where}", flush=True)
 
     def step(self, now_s: float) -> None:
@@ -235,6 +242,9 @@ class _Vehicle:
         if self._truth and self._steps % TRUTH_STEPS == 0:
             quad, mode = autopilot.quad, autopilot.mode.name
             self._truth.write(truth_row(now_s, quad.state, quad.thrust_norm, autopilot.armed, mode))
+        if self._cameras and self._steps % CAPTURE_STEPS == 0:
+            with contextlib.suppress(OSError):  # no cameras yet, or no more
+                self._cameras.send(truth_datagram(self._id, now_s, autopilot.quad.state))
         if self._steps % FLUSH_STEPS == 0:
             self.flush()
 

@@ -17,6 +17,7 @@ from companion.types.values import ZERO3, Vector3
 NonNegative = Annotated[float, Meta(ge=0, le=1000)]
 PerAxis = tuple[NonNegative, NonNegative, NonNegative]
 Positive = Annotated[float, Meta(gt=0, le=1000)]
+Port = Annotated[int, Meta(ge=1, le=65_535)]
 FlightTime = Annotated[float, about("time since the start of the stand-in", ge=0, le=36_000)]
 
 
@@ -393,6 +394,7 @@ class AutopilotFile(Section, frozen=True):
     start_enu_m: start in the world frame
     origin_enu_m: zero of the autopilot's own frame; without a value at the start
     start_yaw_deg: yaw at the start: 0 is east, counterclockwise
+    truth_port: UDP port of this machine that receives the true pose at 125 Hz, for a motion-capture system
     """
 
     id: VehicleId = 1
@@ -401,3 +403,4 @@ class AutopilotFile(Section, frozen=True):
     origin_enu_m: PositionM | None = None
     start_yaw_deg: Annotated[float, Meta(ge=-360, le=360)] = 0.0
     stand_in: StandIn = StandIn()
+    truth_port: Port | None = None

@@ -4,17 +4,31 @@ from pathlib import Path
 
 import msgspec
 import pytest
+import yaml
 from msgspec.structs import replace
 
 from common import ROOT
 from companion.config.file import ConfigError, load
 from companion.config.vehicle import load_agent
+from companion.ground.mocap.file import load_mocap
 from companion.types.flight import Role
-from sitl.flight.files import autopilot_file, ids_of, network_path, reached_stand_in, vehicle_file, write_files
+from sitl.flight.files import (
+    autopilot_file,
+    cameras_path,
+    captured_ids,
+    ids_of,
+    mocap_path,
+    network_path,
+    reached_stand_in,
+    vehicle_file,
+    write_cameras,
+    write_files,
+)
 from sitl.flight.scenario import Scenario, load_scenario
+from sitl.links.cameras import CamerasFile, body_name
 from sitl.links.emulated_network import NetworkFile
 from sitl.links.ports import ports_of
-from sitl.vehicle.config import AutopilotFile
+from sitl.vehicle.config import AutopilotFile, CaptureFault
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 
@@ -92,6 +106,28 @@ def test_disturbed_links_lead_over_the_emulated_network(tmp_path: Path, multicas
     network = load(network_path(tmp_path), NetworkFile)
     assert (network.vehicles, network.seed, network.port_offset) == ((1, 2, 3, 4), 3, 50)
     assert network.links == scenario.links
+
+
+def test_a_fleet_indoors_has_cameras_with_its_faults_and_the_file_that_reads_them(
+    scenario: Scenario, tmp_path: Path
+) -> None:
+    lost = CaptureFault(kind="lost", vehicle=2, at_s=30.0, for_s=2.0)
+    stand_ins = replace(scenario.stand_in, positioning="external_vision", capture_faults=(lost,), seed=7)
+    outdoors = replace(scenario, stand_in=stand_ins)
+    indoors = replace(outdoors, fleet=replace(scenario.fleet, origin="indoor"))
+    assert (captured_ids(scenario), captured_ids(outdoors), captured_ids(indoors)) == ([], [], [1, 2, 3, 4])
+    write_cameras(indoors, tmp_path, 50)
+    (tmp_path / "fleet.yaml").write_text(yaml.safe_dump(msgspec.to_builtins(indoors.fleet)), encoding="utf-8")
+    cameras, (mocap, fleet, _) = load(cameras_path(tmp_path), CamerasFile), load_mocap(mocap_path(tmp_path))
+    assert (cameras.vehicles, cameras.faults, cameras.seed) == ((1, 2, 3, 4), (lost,), 7)
+    assert (mocap.port, mocap.bodies[body_name(3)], mocap.up) == (cameras.port, 3, cameras.up)
+    assert fleet == indoors.fleet
+
+
+@pytest.mark.usefixtures("scenario")
+def test_other_fleets_have_no_cameras(tmp_path: Path) -> None:
+    assert not cameras_path(tmp_path).exists()
+    assert load(tmp_path / "autopilot_1.yaml", AutopilotFile).truth_port is None
 
 
 def test_undisturbed_links_need_no_network(scenario: Scenario, tmp_path: Path) -> None:
