@@ -25,6 +25,7 @@ from companion.link.fleet.zenoh_session import EndpointError
 from companion.link.ground_link import GroundStationLink
 from companion.link.law_timer import LawTimer
 from companion.link.log import flush_log
+from companion.link.pose_relay import PoseRelay
 from companion.link.systemd import Notifier, log_as_service
 from companion.link.takeoff_file import TakeoffFile, takeoff_path
 from companion.link.tick import TickTrigger, monotonic_s
@@ -95,6 +96,8 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
         except EndpointError as error:
             field = f"zenoh.{error.kind}" if vehicle.zenoh else "fleet"
             raise ConfigError(settings.file, field, f'"{error.endpoint}": {error}') from error
+        if vision := config.fleet.external_vision:
+            peers.hear_poses(PoseRelay(vision, agent, autopilot).receive)
         notifier = stack.enter_context(closing(Notifier()))
         signed = ", signed" if key else ""
         _log.info("%s of fleet %s, %s%s", config.member.role, config.fleet.name, vehicle.mavlink, signed)
@@ -105,7 +108,7 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
             beside.append(_admissions(identity, peers).run)
         if takeoff := _takeoff_file(config, agent):
             if kept := takeoff.read(monotonic_s()):
-                autopilot.begin_with(kept)
+                autopilot.keep(kept)
             beside.append(takeoff.run)
         if vehicle.ground_station:
             ground = stack.enter_context(closing(_ground_station(settings, config, autopilot, agent)))

@@ -16,6 +16,7 @@ from companion.config.reference_check import most_pace, reference_checks
 from companion.config.validation import Problem, needs, without_pauses
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
+from companion.core.autopilot import Profiles
 from companion.core.command.arbitration import CommandArbitration, CommandDispatcher
 from companion.core.command.hand_over import LEVEL_BEFORE_HAND_OVER_S
 from companion.core.command.phase import PhaseMachine
@@ -55,7 +56,8 @@ from companion.geometry.airspace import Airspace
 from companion.geometry.formations import to_separation_metric
 from companion.laws import Law
 from companion.laws._feedback_gains import feedback_gains
-from companion.mavlink.autopilot_types import PROFILES
+from companion.mavlink.autopilot_types import PROFILES, VISION_PROFILES
+from companion.types.autopilot import SetOrigin
 from companion.types.commands import Described
 from companion.types.flight import FailsafeAction, Role
 from companion.types.formation import Gains
@@ -105,7 +107,7 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
     return Agent(
         vehicle_id=member.id,
         perception=tracker_of(fleet),
-        preflight=Preflight(observer, PROFILES, vehicle.accept_uncontrolled_descent, fleet_fence_of(fleet)),
+        preflight=Preflight(observer, profiles_of(fleet), vehicle.accept_uncontrolled_descent, fleet_fence_of(fleet)),
         phases=PhaseMachine(fleet.takeoff_height_m, PROFILES),
         arbitration=CommandArbitration(session),
         consensus=_consensus(fleet, member.id, identity.formation_hash, law.publishes),
@@ -353,6 +355,11 @@ def _neighbour_rule(fleet: FleetConfig, own_id: int) -> NeighbourRule:
     return RangeRule(fleet.neighbours.range_m, fleet.neighbours.hysteresis_m)
 
 
+def profiles_of(fleet: FleetConfig) -> Profiles:
+    """The profiles by which a vehicle of this fleet is checked before it flies."""
+    return VISION_PROFILES if fleet.external_vision else PROFILES
+
+
 def tracker_of(fleet: FleetConfig) -> VehicleTracker:
     """The tracker that maps the vehicle's local frame into the fleet frame."""
     bandwidth_1_s = fleet.law.velocity_correction_1_s
@@ -360,6 +367,7 @@ def tracker_of(fleet: FleetConfig) -> VehicleTracker:
         None if fleet.origin == "indoor" else fleet.origin.as_tuple(),
         height_from_takeoff=fleet.altitude_source == "takeoff",
         velocity_correction=VelocityCorrection(bandwidth_1_s) if bandwidth_1_s > 0.0 else None,
+        vision_origin=SetOrigin(*fleet.external_vision.place.as_tuple()) if fleet.external_vision else None,
     )
 
 

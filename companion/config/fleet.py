@@ -128,6 +128,21 @@ class Envelope(Section, frozen=True):
     clearance_m: Annotated[float, Meta(ge=0, le=100)] = 0.5
 
 
+class VisionSettings(Section, frozen=True):
+    """Poses of a motion-capture system in place of GPS, which `companion mocap` publishes. Needs `origin: indoor`.
+
+    place: place of the zero of the fleet frame; each autopilot gets it as its origin, before it is armed
+    rate_hz: poses a second that are passed on to an autopilot, at most
+    position_error_m: one sigma of a position
+    angle_error_deg: one sigma of an angle
+    """
+
+    place: GeodeticOrigin
+    rate_hz: Annotated[float, Meta(ge=10, le=200)] = 50.0
+    position_error_m: Annotated[float, Meta(ge=0.0005, le=1)] = 0.01
+    angle_error_deg: Annotated[float, Meta(ge=0.05, le=20)] = 1.0
+
+
 Hour = Annotated[float, Meta(gt=0, le=3600)]  # a time in seconds
 Charge = Annotated[float, Meta(gt=0, le=90)]
 
@@ -157,6 +172,7 @@ class FleetSettings(Section, frozen=True, kw_only=True):
         lose packets; with identities each datagram is authenticated
     security: `none`: agents without an identity may use a network; all who reach it can command the fleet
     obstacles: static obstacles, which all vehicles avoid
+    external_vision: poses of a motion-capture system in place of GPS
     """
 
     altitude_source: Literal["origin", "takeoff"] = "origin"
@@ -181,6 +197,7 @@ class FleetSettings(Section, frozen=True, kw_only=True):
     peers: PeerLimits = PeerLimits()
     envelope: Envelope = Envelope()
     obstacles: Annotated[tuple[ObstacleSection, ...], Meta(max_length=100)] = ()
+    external_vision: VisionSettings | None = None
 
     @property
     def airspace(self) -> Airspace:
@@ -208,6 +225,13 @@ class FleetConfig(FleetSettings, frozen=True, kw_only=True):
     origin: GeodeticOrigin | Literal["indoor"]
     vehicles: tuple[FormationMember, ...]
     neighbours: EdgeNeighbours | RangeNeighbours
+
+    @property
+    def place(self) -> GeodeticOrigin | None:
+        """Where the zero of the fleet frame is on Earth; None where a fleet indoors does not say."""
+        if self.origin != "indoor":
+            return self.origin
+        return self.external_vision.place if self.external_vision else None
 
     @property
     def has_distant_peers(self) -> bool:

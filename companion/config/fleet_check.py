@@ -43,6 +43,7 @@ def fleet_problems(fleet: FleetConfig, where: str = "") -> Iterator[Problem]:
         _speeds(fleet, f"{where}peers.max_speed_m_s"),
         _tilt_rate(fleet, f"{where}envelope.max_tilt_rate_deg_s"),
         _multicast(fleet, f"{where}multicast"),
+        _external_vision(fleet, f"{where}external_vision"),
         _battery(fleet, f"{where}land_below_percent"),
         law_problems(fleet.law, f"{where}law"),
     )
@@ -52,6 +53,11 @@ def fleet_problems(fleet: FleetConfig, where: str = "") -> Iterator[Problem]:
         _cut_vertices(with_ids, f"{where}neighbours.edges"),
     )
     yield from each(*of_fields, *of_ids)
+
+
+def _external_vision(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    if fleet.external_vision is not None and fleet.origin != "indoor":
+        yield Problem(where, "given, and origin is a place on Earth; expected `origin: indoor`, and that place here")
 
 
 def checkable(fleet: FleetConfig) -> FleetConfig:

@@ -8,7 +8,7 @@ the vehicle and evaluates nothing, so a decision does not depend on when its par
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 from companion.core.command.arbitration import CommandArbitration, CommandDispatcher, Intake
 from companion.core.command.phase import PhaseCommand, PhaseMachine
@@ -25,6 +25,7 @@ from companion.types.flight import FailsafeAction, Flight, FlightPhase
 from companion.types.peers import ReceivedPeerPacket
 from companion.types.status import SeparationReport
 from companion.types.tick import Inbox, Outbox
+from companion.types.values import Vector3
 
 FORMATION, WARN = FlightPhase.FORMATION, FailsafeAction.WARN  # member lookup of an enum is slow
 
@@ -77,6 +78,11 @@ class Agent:
     def has_handed_over(self) -> bool:
         """No setpoint stream is left that the autopilot would miss."""
         return self._flight.has_handed_over
+
+    @property
+    def others_enu_m(self) -> Mapping[int, Vector3]:
+        """Where the other vehicles were when they were heard last."""
+        return {i: peer.packet.motion.position_enu_m for i, peer in self.consensus.peers.known.items()}
 
     def reject(self, reason: str) -> None:
         """Count a message that was refused before it came here."""

@@ -239,8 +239,8 @@ class AutopilotProfile:
 
     `procedures`: all commands that reach the autopilot. `flies_on_in_silence`: when the stream ends, the autopilot continues
     the last attitude and thrust for seconds, so the last setpoint must be safe to continue. `parameters`: what the audit
-    checks, in its order; those in `decide_in_silence` decide what the autopilot does when setpoints end. `messages`: the
-    message of each kind of telemetry whose rate is checked.
+    checks, in its order, and `vision_parameters` where poses take the place of GPS; those in `decide_in_silence` decide what
+    the autopilot does when setpoints end. `messages`: the message of each kind of telemetry whose rate is checked.
     """
 
     modes: Mapping[FlightPhase, frozenset[AutopilotMode]]
@@ -248,6 +248,7 @@ class AutopilotProfile:
     flies_on_in_silence: bool
     takes_off_by_altitude: bool  # above sea level, so it needs an origin; else by a height
     parameters: tuple[ParameterRule, ...]
+    vision_parameters: tuple[ParameterRule, ...]
     decide_in_silence: tuple[str, ...]
     messages: Mapping[str, SentFrom]
 

@@ -34,6 +34,7 @@ from companion.types.autopilot import (
 )
 from companion.types.errors import EXIT_NO_AUTOPILOT, EndingError
 from companion.types.notices import Code
+from companion.types.peers import BodyPose
 
 HEARTBEAT_PERIOD_S = 1.0
 STREAM_CHECK_PERIOD_S = 2.0
@@ -101,9 +102,14 @@ class AutopilotLink:
         """Whether a HEARTBEAT of the autopilot was ever received."""
         return self._heartbeat_received.is_set()
 
-    def begin_with(self, sample: Telemetry) -> None:
-        """A sample for the first tick that does not come from the autopilot."""
+    def keep(self, sample: Telemetry) -> None:
+        """A sample for the next tick that does not come from the autopilot."""
         self._telemetry.append(sample)
+
+    def pose(self, pose: BodyPose, measured_s: float, covariance: Sequence[float], resets: int) -> None:
+        """Send a motion-capture pose, once the autopilot was heard."""
+        if self.is_connected:
+            self._send(self._translator.pose(pose, measured_s, covariance, resets))
 
     def drain(self) -> tuple[Telemetry, ...]:
         """All telemetry since the last call."""
@@ -222,6 +228,8 @@ class AutopilotLink:
         for _ in range(len(self._telemetry) + len(samples) - SAMPLES_KEPT):
             self._reject(Code.TELEMETRY_OVERLOAD)
         self._telemetry.extend(samples)
+        while self._translator.answers:
+            self._send(self._translator.answers.popleft())
         rejected = self._translator.rejected
         from_autopilot = bool(samples) or Code.MAVLINK_OLD_SIGNATURE in rejected
         if from_autopilot:

@@ -5,6 +5,8 @@ HEARTBEAT selects the type; no other code asks for it.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from companion.core.autopilot import Profiles
 from companion.mavlink import ardupilot, px4
 from companion.mavlink.codec import MavlinkMessage
@@ -13,6 +15,11 @@ from companion.types.autopilot import AutopilotKind
 
 DIALECTS: dict[AutopilotKind, Dialect] = {AutopilotKind.PX4: px4, AutopilotKind.ARDUPILOT: ardupilot}
 PROFILES: Profiles = {kind: dialect.PROFILE for kind, dialect in DIALECTS.items()}
+# Of fleets whose autopilots get poses in place of GPS
+VISION_PROFILES: Profiles = {
+    kind: replace(profile, parameters=profile.parameters + profile.vision_parameters)
+    for kind, profile in PROFILES.items()
+}
 
 # Messages of any dialect whose rate only the agent may set.
 AGENT_STREAMS = frozenset(

@@ -61,6 +61,11 @@ class AutopilotClock:
         self._exchanges.append((sent_s - boot_s, received_s - sent_s))
         self._ahead_s, self._answered_s = max(ahead_s for ahead_s, _ in self._exchanges), received_s
 
+    def boot_s(self, at_s: float) -> float:
+        """The autopilot's clock when this computer's shows `at_s`; 0 before its first position."""
+        ahead_s = self._ahead_s if self._exchanges else min(self._least_s, self._least_before_s)
+        return max(0.0, at_s - ahead_s)
+
     def late_s(self, boot_s: float, received_s: float) -> float:
         """How old a sample of `boot_s` was on arrival at `received_s`; 0 where that is usual."""
         if boot_s < self._boot_s - REBOOT_S:

@@ -112,6 +112,13 @@ def common_command(request: Arm | Disarm | RequestOrigin | RequestParameter, sys
             )
 
 
+def origin_message(system_id: int, latitude_deg: float, longitude_deg: float, altitude_amsl_m: float) -> MavlinkMessage:
+    """SET_GPS_GLOBAL_ORIGIN."""
+    return mavlink.MAVLink_set_gps_global_origin_message(
+        system_id, round(latitude_deg * 1e7), round(longitude_deg * 1e7), round(altitude_amsl_m * 1e3)
+    )
+
+
 def stream_request(system_id: int, message_id: int, interval_us: int) -> MavlinkMessage:
     """MAV_CMD_SET_MESSAGE_INTERVAL; interval -1 is off."""
     return command_long(system_id, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, interval_us)

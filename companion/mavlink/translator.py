@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from math import isfinite
 
-from companion.geometry.frames import euler_ned_from_enu, quaternion_from_euler
+from companion.geometry.frames import euler_from_quaternion, euler_ned_from_enu, ned_from_enu, quaternion_from_euler
 from companion.mavlink import telemetry
 from companion.mavlink.autopilot_types import DIALECTS, autopilot_kind, describe_heartbeat
 from companion.mavlink.clock import AutopilotClock
@@ -23,10 +23,18 @@ from companion.types.autopilot import (
     ThrustSample,
 )
 from companion.types.notices import Code
+from companion.types.peers import BodyPose
 
 THRUST_DECIMALS = 5
+ANSWERS_KEPT = 8
 
 Samples = tuple[Telemetry, ...]
+
+
+def pose_covariance(position_error_m: float, angle_error_rad: float) -> tuple[float, ...]:
+    """Of VISION_POSITION_ESTIMATE: upper triangle of x, y, z, roll, pitch, yaw, from one sigma of each."""
+    squares = [position_error_m**2] * 3 + [angle_error_rad**2] * 3
+    return tuple(squares[row] if row == column else 0.0 for row in range(6) for column in range(row, 6))
 
 
 class Translator:
@@ -44,6 +52,7 @@ class Translator:
         self._has_key = key is not None
         self._texts = telemetry.TextAssembler()
         self.clock = AutopilotClock()
+        self.answers: deque[bytes] = deque(maxlen=ANSWERS_KEPT)  # to what the last bytes asked, to be sent
         self.rejected: Counter[str] = Counter()  # damaged or implausible packets, by code
         self.others = OtherSenders()
         self._order = StreamOrder()
@@ -177,8 +186,13 @@ class Translator:
         return (text,) if text else ()
 
     def _timesync(self, packet: Packet, received_s: float) -> Samples:
+        """A request, tc1 0, is answered by the autopilot's own clock: the stamps of poses are of that one."""
         message = packet.fields
-        self.clock.receive_answer(message.ts1, message.tc1, received_s)
+        if message.tc1:
+            self.clock.receive_answer(message.ts1, message.tc1, received_s)
+        else:
+            boot_ns = round(self.clock.boot_s(received_s) * 1e9)
+            self.answers.append(self._codec.encode(mavlink.MAVLink_timesync_message(boot_ns, message.ts1)))
         return ()
 
     def attitude_target(self, target: AttitudeTarget, now_s: float) -> bytes:
@@ -194,6 +208,17 @@ class Translator:
             self._system_id,
             AUTOPILOT,
             self.dialect.ATTITUDE_TYPE_MASK,
+        )
+
+    def pose(self, pose: BodyPose, measured_s: float, covariance: Sequence[float], resets: int) -> bytes:
+        """VISION_POSITION_ESTIMATE of a pose that was measured at this time of the clock of `received_s`."""
+        x, y, z = ned_from_enu(pose.position_enu_m)
+        roll_rad, pitch_rad, yaw_rad = euler_ned_from_enu(*euler_from_quaternion(pose.quaternion))
+        stamp_us = round(self.clock.boot_s(measured_s) * 1e6)
+        return self._codec.encode(
+            mavlink.MAVLink_vision_position_estimate_message(
+                stamp_us, x, y, z, roll_rad, pitch_rad, yaw_rad, covariance, resets & 0xFF
+            )
         )
 
     def request(self, request: AutopilotRequest) -> bytes:

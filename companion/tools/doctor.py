@@ -13,13 +13,13 @@ from math import dist
 from pathlib import Path
 from typing import Any
 
-from companion.assembly import check_agent, fleet_fence_of, output_limits_of, tracker_of
+from companion.assembly import check_agent, fleet_fence_of, output_limits_of, profiles_of, tracker_of
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.preflight import WINDOW_S, Survey
 from companion.core.safety.audit import AuditFinding, Facts, FoundHome, PositionCheck, Verdict, audit, worst
 from companion.link.bench import LISTEN_PERIOD_S, Bench, ParameterError, Parameters
-from companion.mavlink.autopilot_types import DIALECTS, PROFILES
+from companion.mavlink.autopilot_types import DIALECTS
 from companion.tools.output import found_lines, json_text, line_printer
 from companion.types.autopilot import AutopilotKind, RequestOrigin, VehicleState
 
@@ -189,7 +189,7 @@ class DoctorSession(Bench):
         vehicle, survey, config = self.tracker.state, self._survey, self.config
         assert vehicle.autopilot is not None  # it answers
         assert self.parameters is not None
-        profile = PROFILES[vehicle.autopilot]
+        profile = profiles_of(config.fleet)[vehicle.autopilot]
         rules, needs_altitude = profile.parameters, profile.takes_off_by_altitude
         parameters = await self.parameters.read_all(rule.name for rule in rules)
         round_trip_s = self.link.round_trip_s

@@ -90,6 +90,9 @@ class VehicleState(Struct, frozen=True, gc=False):
     jump_time_s: float = float("-inf")  # when the autopilot's position last jumped
     position_error: PositionError | None = None  # None if it was never reported; it grows while the position is unaided
     position_unaided: bool = False  # the autopilot has lost GPS or vision, and dead-reckons
+    pose_time_s: float = float("inf")  # when the newest pose passed on was measured; infinite where none are needed
+    pose_refused_s: float = float("-inf")  # when a pose was last refused
+    pose_fault: str = ""  # why
     failsafe_s: float = float("-inf")  # when the armed autopilot last reported a failsafe of its own
     estimator_healthy: bool = True  # as last reported; True where it is not reported
     battery_percent: float = -1.0  # -1 where unknown
@@ -133,13 +136,21 @@ class RequestOrigin(Struct, frozen=True, gc=False):
     """Ask for GPS_GLOBAL_ORIGIN, which PX4 sends once and on change."""
 
 
+class SetOrigin(Struct, frozen=True, gc=False):
+    """SET_GPS_GLOBAL_ORIGIN, for an autopilot without GPS: the place of the zero of its local frame."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl_m: float
+
+
 class RequestParameter(Struct, frozen=True, gc=False):
-    """Ask for one parameter. There is none that sets one: the agent only reads."""
+    """Ask for one parameter. No request sets one: the agent only reads."""
 
     name: str
 
 
-AutopilotRequest = SetMode | Arm | Disarm | TakeOff | RequestOrigin | RequestParameter
+AutopilotRequest = SetMode | Arm | Disarm | TakeOff | RequestOrigin | SetOrigin | RequestParameter
 
 
 class PositionSample(Struct, frozen=True, gc=False):
@@ -291,6 +302,14 @@ class GroundSample(Struct, frozen=True, gc=False):
     within_s: float
 
 
+class PoseSample(Struct, frozen=True, gc=False):
+    """A motion-capture pose of this vehicle: passed on to the autopilot, or refused for a `fault`, which is a short text."""
+
+    received_s: float
+    measured_s: float
+    fault: str = ""
+
+
 Telemetry = (
     PositionSample
     | AttitudeSample
@@ -308,4 +327,5 @@ Telemetry = (
     | AckSample
     | TextSample
     | GroundSample
+    | PoseSample
 )

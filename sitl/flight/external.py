@@ -89,8 +89,8 @@ class Readiness:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        origin = scenario.fleet.origin
-        assert isinstance(origin, GeodeticOrigin)  # scenario_from accepts no other
+        origin = scenario.fleet.place
+        assert origin is not None  # scenario_from accepts no other
         self._origin, self._starts_enu_m = origin, scenario.starts_enu_m
         self._ready_since_s: float | None = None
         self.lacking = ""  # what prevents the flight at present

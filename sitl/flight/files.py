@@ -9,7 +9,7 @@ import msgspec
 import yaml
 from msgspec.structs import replace
 
-from companion.config.fleet import FleetConfig, GeodeticOrigin
+from companion.config.fleet import FleetConfig
 from companion.config.named_files import carried
 from companion.config.values import MAX_DRAG_1_S, VehicleId
 from companion.config.vehicle import DatagramEndpoints, RecordingSettings, VehicleConfig, ZenohEndpoints
@@ -213,8 +213,8 @@ def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
 
     Where the scenario sets nothing else, its parameters are those that an agent requires and it can be armed after 4 s.
     """
-    origin = scenario.fleet.origin
-    assert isinstance(origin, GeodeticOrigin)  # scenario_from accepts no other
+    place = scenario.fleet.place
+    assert place is not None  # scenario_from accepts no other
     stand_in = scenario.stand_in_of(vehicle_id)
     data = AUTOPILOT_TYPES[stand_in.autopilot].data
     hover_norm = scenario.assumed.hover_thrust_norm
@@ -222,7 +222,7 @@ def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
     ready_s = ARMABLE_IN_SCENARIOS_S if stand_in.armable_after_s is None else stand_in.armable_after_s
     return AutopilotFile(
         id=vehicle_id,
-        world_origin=origin,
+        world_origin=place,
         start_enu_m=scenario.starts_enu_m[vehicle_id],
         origin_enu_m=scenario.origins_enu_m.get(vehicle_id),
         stand_in=msgspec.structs.replace(

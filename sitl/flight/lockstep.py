@@ -16,6 +16,7 @@ from companion.wire.messages import StatusReport
 from sitl.autopilots.autopilot import DT_S
 from sitl.flight.files import autopilot_file, ids_of
 from sitl.flight.scenario import Scenario
+from sitl.flight.virtual_cameras import VirtualCameras
 from sitl.flight.virtual_vehicle import VirtualAgent, VirtualStandIn
 from sitl.links.network import Network
 
@@ -51,6 +52,9 @@ class Lockstep:
             for stand_in in self.stand_ins
         }
         self.in_order = list(self.vehicles.values())
+        self._cameras = None
+        if scenario.fleet.external_vision:
+            self._cameras = VirtualCameras(self.stand_ins, self.vehicles, scenario.stand_in)
         self._commands_given = 0
         self._target_samples = 0
 
@@ -111,6 +115,8 @@ class Lockstep:
         now_s = self._now_s = self._steps * DT_S
         for stand_in in self.stand_ins:
             stand_in.step(now_s)
+        if self._cameras:
+            self._cameras.step(self._steps, now_s)
         if self._steps % TELEMETRY_STEPS == 0:
             for stand_in in self.stand_ins:
                 stand_in.record(now_s)

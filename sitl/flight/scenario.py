@@ -322,9 +322,27 @@ def _problems(file: ScenarioFile) -> Iterator[Problem]:
 
 
 def _origin(scenario: Scenario) -> Iterator[Problem]:
-    if scenario.fleet.origin == "indoor":
-        problem = '"indoor" is for one motion-capture frame; stand-ins need latitude, longitude, altitude'
+    if scenario.fleet.place is None:
+        problem = '"indoor" without fleet.external_vision.place; stand-ins need latitude, longitude, altitude'
         yield Problem("fleet.origin", problem)
+
+
+def _positioning(scenario: Scenario) -> Iterator[Problem]:
+    """Poses for stand-ins come from the fleet's motion-capture system alone."""
+    by_vision = scenario.fleet.external_vision is not None
+    expected = "external_vision" if by_vision else "gps"
+    ids = [member.id for member in scenario.fleet.vehicles]
+    if others := [i for i in ids if scenario.stand_in_of(i).positioning != expected]:
+        given = "given" if by_vision else "not given"
+        problem = (
+            f"of vehicle {', '.join(map(str, others))}: expected {expected}, because fleet.external_vision is {given}"
+        )
+        yield Problem("stand_in.positioning", problem)
+    for index, fault in enumerate(scenario.stand_in.capture_faults):
+        for key, problem in fault.contradictions():
+            yield Problem(f"stand_in.capture_faults[{index}].{key}", problem)
+        if fault.other is not None and scenario.fleet.member(fault.other) is None:
+            yield Problem(f"stand_in.capture_faults[{index}].other", f"no vehicle {fault.other} in the fleet")
 
 
 def _transport(scenario: Scenario) -> Iterator[Problem]:
@@ -336,10 +354,11 @@ def _transport(scenario: Scenario) -> Iterator[Problem]:
 
 def _stand_ins(scenario: Scenario) -> Iterator[Problem]:
     common = scenario.stand_in
-    yield from each(
+    of_keys = each(
         parameter_problems(common.autopilot, common.parameters),
         *(_own_keys(common, own, f"stand_in.vehicles.{i}") for i, own in common.vehicles.items()),
     )
+    yield from list(of_keys) or _positioning(scenario)
 
 
 def _own_keys(common: StandIns, own: dict[str, Any], where: str) -> Iterator[Problem]:
@@ -377,6 +396,7 @@ BY_VEHICLE = (
     "stand_in.failsafes",
     "stand_in.homes",
     "stand_in.rally_points",
+    "stand_in.capture_faults",
     "links.late_telemetry",
     "links.false_positions",
     "agent_ends",

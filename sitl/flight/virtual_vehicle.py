@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import inf
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
 from companion.core.consensus.law import LawError
 from companion.core.safety.safeguard import FailureResponse
+from companion.link.pose_relay import PoseRelay
 from companion.link.tick import Ticking
 from companion.mavlink.autopilot_types import DIALECTS
 from companion.recording.recorder import recorder_of
@@ -24,7 +25,7 @@ from companion.recording.writing import WritingAtOnce
 from companion.types.autopilot import AutopilotMode, Telemetry
 from companion.types.commands import Command, CommandReply
 from companion.types.notices import Code, Notice
-from companion.types.peers import ReceivedPeerPacket, ReceivedTarget, TargetSample
+from companion.types.peers import BodyPose, ReceivedPeerPacket, ReceivedTarget, TargetSample
 from companion.types.status import Status
 from companion.types.tick import Inbox, Outbox
 from companion.wire.messages import Percentiles, StatusReport, Timing
@@ -166,7 +167,8 @@ class VirtualAgent:
         ends = (end for end in scenario.agent_ends if end.vehicle == self.vehicle_id)
         self._ends = sorted(ends, key=lambda end: end.at_s)  # those that are not over yet
         self._starts = 1
-        self._kept: tuple[Telemetry, ...] = ()  # for the first tick of a new agent
+        self._kept: tuple[Telemetry, ...] = ()  # for the next tick, beside what comes from the autopilot
+        self._pose_s = 0.0  # when a pose arrived last
         self._recordings = recordings
         self._timer = VirtualTimer()
         self._prepared: Inbox | None = None  # what the first part of the next tick saw, once it has run
@@ -184,6 +186,20 @@ class VirtualAgent:
     def take_target(self, name: str, target: TargetSample) -> None:
         """A sample of a moving target, for the next tick."""
         self._targets += ((name, target),)
+
+    def take_pose(self, pose: BodyPose, now_s: float) -> None:
+        """A motion-capture pose of this vehicle that arrives now."""
+        if self._relay is not None and self._process_runs(now_s) and not self._failed:
+            self._pose_s = now_s
+            self._relay.receive(pose, now_s)
+
+    def pose(self, pose: BodyPose, measured_s: float, covariance: Sequence[float], resets: int) -> None:
+        """The pose that has just arrived, for the autopilot."""
+        self.link.pose(self._pose_s, pose, measured_s, covariance, resets)
+
+    def keep(self, sample: Telemetry) -> None:
+        """A sample for the next tick that does not come from the autopilot."""
+        self._kept += (sample,)
 
     def reply_to(self, number: int) -> CommandReply | None:
         """The reply to the command with this number, None without one."""
@@ -299,6 +315,8 @@ class VirtualAgent:
         self.agent: Agent = build_agent(config, self._starts)
         self._ticking, self._prepared = Ticking(self._timer, self._tick, self._prepare), None
         self._response, self._failed = FailureResponse(), False
+        vision = config.fleet.external_vision
+        self._relay = PoseRelay(vision, self.agent, self) if vision else None
         self._recorder = (
             recorder_of(config, self._starts, self._recordings, 0.0, 0.0, WritingAtOnce()) if self._recordings else None
         )

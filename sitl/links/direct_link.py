@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from math import inf
 
 from msgspec.structs import replace
@@ -35,6 +35,7 @@ from companion.types.autopilot import (
     Telemetry,
     ThrustSample,
 )
+from companion.types.peers import BodyPose
 from sitl.autopilots.autopilot import Autopilot
 from sitl.autopilots.link_end import LinkEnd
 from sitl.autopilots.messages import Builder, estimator_status, global_position, gps_raw, home_position
@@ -208,6 +209,10 @@ class DirectLink:
     def command(self, target: AttitudeTarget, now_s: float) -> None:
         self.target, self.setpoint_s = target, now_s
         self.to_autopilot.append((now_s + self._setpoint_delay_s, setpoint_of(self.autopilot.kind, target)))
+
+    def pose(self, now_s: float, pose: BodyPose, measured_s: float, covariance: Sequence[float], resets: int) -> None:
+        packet = self._translator.pose(pose, measured_s, covariance, resets)
+        self.to_autopilot.append((now_s + self._setpoint_delay_s, packet))
 
     def request(self, request: AutopilotRequest, now_s: float) -> None:
         self.to_autopilot.append((now_s + self._setpoint_delay_s, self._translator.request(request)))

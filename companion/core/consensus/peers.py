@@ -15,7 +15,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.core.consensus.coherence import Coherence, coherent
-from companion.core.consensus.message_order import Disorder, Stream, following
+from companion.core.message_order import Disorder, Stream, following
 from companion.geometry.vectors import extrapolated, shortened
 from companion.laws import Neighbour
 from companion.types.commands import MAX_EPOCH

@@ -17,6 +17,7 @@ DRIFT_M_S, DRIFT_M_S2 = 0.1, 0.06
 CLIMB_DRIFT_M_S = 0.1
 LARGEST_ASSUMED_M = 1_000.0
 NO_ERROR = PositionError(0.0, 0.0)
+POSE_GAP_S = 0.2  # autopilots do not notice a gap in external vision that is no longer
 
 
 class PositionAccuracy:
@@ -28,6 +29,7 @@ class PositionAccuracy:
 
     def restart(self) -> None:
         """Nothing was reported yet."""
+        self._pose_s = inf  # when the newest pose was measured, where the autopilot has no position without one
         self._known: PositionError | None = None  # as last reported while all was well
         self._reported = NO_ERROR
         self._known_s = self._received_s = -inf
@@ -47,18 +49,28 @@ class PositionAccuracy:
         if not self._lost:
             self._known, self._known_s = self._reported if known else None, sample.received_s
         self._received_s = sample.received_s
-        self.holds_until_s = -inf if self._lost else sample.received_s + ERROR_AGE_S
+        self._hold()
+
+    def receive_pose(self, measured_s: float) -> None:
+        """A motion-capture pose that goes to the autopilot, which has no other position."""
+        self._pose_s = measured_s
+        self._hold()
+
+    def _hold(self) -> None:
+        self.holds_until_s = -inf if self._lost else min(self._received_s + ERROR_AGE_S, self._pose_s + POSE_GAP_S)
 
     def at(self, now_s: float) -> tuple[PositionError | None, bool]:
         """(error, one sigma; whether the position is not aided any more). None where the error was never known."""
         stale = self._known is not None and now_s - self._received_s > ERROR_AGE_S
-        if not self._lost and not stale:
+        unaided = self._lost or stale
+        if not unaided and now_s - self._pose_s <= POSE_GAP_S:
             return self._known, False
-        base, reported, drifts_s = self._known or NO_ERROR, self._reported, max(0.0, now_s - self._known_s)
+        since_s = self._known_s if unaided else self._pose_s
+        base, reported, drifts_s = self._known or NO_ERROR, self._reported, max(0.0, now_s - since_s)
         horizontal_m = base.horizontal_m + DRIFT_M_S * drifts_s + 0.5 * DRIFT_M_S2 * drifts_s * drifts_s
         vertical_m = base.vertical_m + CLIMB_DRIFT_M_S * drifts_s
         assumed = PositionError(
             max(reported.horizontal_m, min(horizontal_m, LARGEST_ASSUMED_M)),
             max(reported.vertical_m, min(vertical_m, LARGEST_ASSUMED_M)),
         )
-        return assumed, True
+        return assumed, unaided

@@ -9,7 +9,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from companion.core.estimation.accuracy import PositionAccuracy
+from companion.core.estimation.accuracy import POSE_GAP_S, PositionAccuracy
 from companion.core.estimation.corrections import RELEASE_M_S, PositionReset, VelocityCorrection
 from companion.core.estimation.fleet_frame import FleetFrame
 from companion.types.autopilot import (
@@ -24,9 +24,11 @@ from companion.types.autopilot import (
     LandedState,
     ModeSample,
     OriginSample,
+    PoseSample,
     PositionSample,
     RallySample,
     RequestOrigin,
+    SetOrigin,
     SystemSample,
     Telemetry,
     TextSample,
@@ -75,7 +77,9 @@ class VehicleTracker:
         fleet_origin: Vector3 | None,
         height_from_takeoff: bool = False,
         velocity_correction: VelocityCorrection | None = None,
+        vision_origin: SetOrigin | None = None,
     ) -> None:
+        """`vision_origin`: the autopilot has no GPS, gets poses, and an origin where it has none."""
         self._frame = FleetFrame(fleet_origin)
         self._position_reset = PositionReset()
         self._velocity_correction = velocity_correction
@@ -92,6 +96,9 @@ class VehicleTracker:
         self.rejected: Counter[str] = Counter()
         self._events: list[Notice] = []  # raised while the current telemetry message is processed
         self._fields: dict[str, Any] = {"frame_known": self._frame_known()}  # newest value of every field
+        self._vision_origin = vision_origin
+        if vision_origin is not None:
+            self._fields["pose_time_s"] = -inf
         self.state = VehicleState(**self._fields)
         self._folds: dict[type[Telemetry], Callable[[Any], None]] = {
             PositionSample: self._fold_position,
@@ -108,6 +115,7 @@ class VehicleTracker:
             SystemSample: self._fold_system,
             TextSample: self._fold_text,
             GroundSample: self._fold_ground,
+            PoseSample: self._fold_pose,
         }
 
     @property
@@ -139,8 +147,13 @@ class VehicleTracker:
                 period_s = ORIGIN_SOON_S
             if now_s - self._origin_asked_s >= period_s:
                 self._origin_asked_s = now_s
-                requests = (RequestOrigin(),)
+                requests = (self._origin_to_set(now_s, vehicle) or RequestOrigin(),)
         return Perception(vehicle, self.rejected, requests, events)
+
+    def _origin_to_set(self, now_s: float, vehicle: VehicleState) -> SetOrigin | None:
+        """On the ground, of an autopilot that gets poses and has no origin. It answers with GPS_GLOBAL_ORIGIN."""
+        waits = vehicle.altitude_amsl_m is None and not vehicle.armed and now_s - vehicle.pose_time_s <= POSE_GAP_S
+        return self._vision_origin if waits else None
 
     def fold(self, telemetry: Iterable[Telemetry]) -> tuple[VehicleState, tuple[Notice, ...]]:
         """State after these samples, and the events. An implausible sample is counted in `rejected` and changes nothing."""
@@ -233,6 +246,14 @@ class VehicleTracker:
 
     def _fold_ground(self, sample: GroundSample) -> None:
         self._kept = sample
+
+    def _fold_pose(self, sample: PoseSample) -> None:
+        if sample.fault:
+            self._fields.update(pose_refused_s=sample.received_s, pose_fault=sample.fault)
+        elif self._vision_origin is not None:
+            self._fields["pose_time_s"] = sample.measured_s
+            self._accuracy.receive_pose(sample.measured_s)
+            self._assume_error(sample.received_s)
 
     def _frame_known(self) -> bool:
         return self._frame.offset_enu_m is not None and self._ground_up_m is not None

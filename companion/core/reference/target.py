@@ -17,8 +17,8 @@ from math import ceil, hypot, isfinite, sqrt
 
 from msgspec import Struct
 
-from companion.core.consensus.message_order import Disorder, Stream, following
 from companion.core.consensus.peers import MAX_SENT_S
+from companion.core.message_order import Disorder, Stream, following
 from companion.geometry.airspace import Airspace, Gap
 from companion.geometry.vectors import dot, extrapolated, minus, plus, scaled, shortened
 from companion.types.formation import FormationState

@@ -14,6 +14,7 @@ from msgspec import Struct
 
 from companion.core.autopilot import AutopilotProfile
 from companion.core.consensus.stage import Consensus
+from companion.core.estimation.accuracy import POSE_GAP_S
 from companion.core.estimation.corrections import LARGEST_JUMP_M, ORIGIN_WITHIN_S
 from companion.core.estimation.vehicle import FAILSAFE_STAYS_S
 from companion.core.safety.limits import OutputLimits
@@ -127,6 +128,17 @@ FAILSAFES: tuple[Failsafe, ...] = (
         "GPS or vision in use again, with a known accuracy",
         in_hold=True,
     ),
+    # PX4 dead-reckons for 4.7 s and ArduCopter for 7 s before they act. Until the hold the vehicle brakes by a velocity that
+    # is still good.
+    Failsafe(
+        C.POSE_LOST,
+        "{} s without a good motion-capture pose",
+        (WARN, Step(A.HOLD, 0.3), Step(A.LAND, 1.5)),
+        "a good pose",
+        limit=POSE_GAP_S,
+        in_hold=True,
+    ),
+    Failsafe(C.POSE_REFUSED, "at once", (WARN,), "{} s without a refused pose", stays_s=1.0),
     # Most often the autopilot changes its mode at once, and flies itself.
     Failsafe(
         C.FAILSAFE_ACTIVE,
@@ -218,13 +230,15 @@ def flags_notice(flags: Collection[HealthFlag]) -> Notice:
     return Notice(Code(ordered[0]), ", ".join([FLAG_TEXTS[flag] for flag in ordered]))
 
 
-def named_notice(flag: HealthFlag, consensus: Consensus, separation: SeparationReport) -> Notice:
-    """The notice of one flag that begins, with the names of the vehicles that it is about."""
+def named_notice(flag: HealthFlag, vehicle: VehicleState, consensus: Consensus, separation: SeparationReport) -> Notice:
+    """The notice of one flag that begins, with what it is about: names of vehicles, or what is wrong with a pose."""
     notice, names = flags_notice([flag]), ""
     if flag is HealthFlag.NOT_SHAKEN_OFF:
         names = ", ".join(separation.unshaken)
     elif flag is HealthFlag.PEER_IN_DOUBT:
         names = ", ".join(map(str, consensus.peers.in_doubt))
+    elif flag is HealthFlag.POSE_REFUSED:
+        names = vehicle.pose_fault
     return Notice(notice.code, f"{notice.text}: {names}") if names else notice
 
 
@@ -253,6 +267,7 @@ class HealthLimits:
 POSITION_S, ATTITUDE_S, MODE_S = limit_of(C.POSITION_STALE), limit_of(C.ATTITUDE_STALE), limit_of(C.MODE_STALE)
 ARMED_S, LANDED_S, JUMPED_S = limit_of(C.ARMED_STALE), limit_of(C.LANDED_STALE), limit_of(C.POSITION_JUMPED)
 TILT_MARGIN_RAD = radians(limit_of(C.TILT_EXCEEDED))
+REFUSED_FOR_S = BY_CONDITION[C.POSE_REFUSED].stays_s
 DUPLICATE_FOR_S = BY_CONDITION[C.DUPLICATE_ID].stays_s
 
 
@@ -284,6 +299,10 @@ def health_flags(now_s: float, vehicle: VehicleState, limits: HealthLimits) -> s
         flags.add(F.ESTIMATOR_BAD)
     if vehicle.position_unaided:
         flags.add(F.POSITION_UNAIDED)
+    if now_s - vehicle.pose_time_s > POSE_GAP_S:
+        flags.add(F.POSE_LOST)
+    if now_s - vehicle.pose_refused_s < REFUSED_FOR_S:
+        flags.add(F.POSE_REFUSED)
     if now_s - vehicle.failsafe_s < FAILSAFE_STAYS_S:
         flags.add(F.FAILSAFE_ACTIVE)
     if acos(cos(vehicle.roll_rad) * cos(vehicle.pitch_rad)) > limits.envelope.max_tilt_rad + TILT_MARGIN_RAD:

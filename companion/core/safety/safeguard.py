@@ -127,7 +127,7 @@ class SafeguardStage:
             requests += self._carry_out(vehicle, flight, consensus, active)
         if not flags and not requests and active is NONE_ACTIVE:
             return SAFE
-        events = tuple([named_notice(flag, consensus, separation) for flag in active.warnings])
+        events = tuple([named_notice(flag, vehicle, consensus, separation) for flag in active.warnings])
         return Safety(frozenset(flags), active.action, tuple(requests), events)
 
     def _stop(self, now_s: float, vehicle: VehicleState, flight: Flight) -> list[PhaseRequest]:

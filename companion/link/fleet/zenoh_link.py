@@ -1,18 +1,20 @@
-"""Zenoh link of an agent: peer packets, commands and targets in; peer packets, replies and status out.
+"""Zenoh link of an agent: peer packets, commands, targets and poses in; peer packets, replies and status out.
 
 The control loop drains ring channels shortly before each tick, and the peers' again in it, where little is left to decode. So
-no Zenoh thread enters the loop, and nothing waits for a loop that hangs. Whatever is sent is a publication that is dropped
-where the network is congested (CongestionControl.DROP: a call takes 1.4 ms at most). Commands are no queries, because a reply
-to a query blocks the whole process for seconds where the client reads nothing: Zenoh's `query.reply` waits with the
-interpreter locked.
+no Zenoh thread enters the loop, and nothing waits for a loop that hangs; poses alone are taken when they arrive. Whatever is
+sent is a publication that is dropped where the network is congested (CongestionControl.DROP: a call takes 1.4 ms at most).
+Commands are no queries, because a reply to a query blocks the whole process for seconds where the client reads nothing:
+Zenoh's `query.reply` waits with the interpreter locked.
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import re
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, Literal, TypeVar
 
@@ -24,16 +26,19 @@ from companion.link.fleet.peer_datagrams import Pairing
 from companion.link.fleet.peer_states import PeerStates
 from companion.link.fleet.zenoh_session import drain, each, open_session, publisher, subscriber
 from companion.link.log import CommandLog
+from companion.link.tick import monotonic_s
 from companion.security.names import ParticipantRole, parse_common_name
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.notices import Code
-from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
+from companion.types.peers import BodyPose, PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
 from companion.types.status import NetworkState
 from companion.wire.keys import (
     ANY,
     abort_key,
     admission_key,
     command_key,
+    pose_key,
+    pose_source_of,
     reply_key,
     status_key,
     target_key,
@@ -41,7 +46,15 @@ from companion.wire.keys import (
     traffic_key,
     traffic_of,
 )
-from companion.wire.messages import StatusReport, WireError, decode_command, decode_target, decode_traffic, encode
+from companion.wire.messages import (
+    StatusReport,
+    WireError,
+    decode_command,
+    decode_pose,
+    decode_target,
+    decode_traffic,
+    encode,
+)
 
 if TYPE_CHECKING:
     from companion.link.fleet.peer_datagrams import PeerDatagrams
@@ -57,6 +70,7 @@ LONGEST_ABORT = 512  # bytes; a longer message, or one without this text, is dro
 ABORT_TEXT = CommandName.ABORT.encode()
 UNANSWERED_KEPT = 2 * COMMANDS_KEPT  # commands whose reply is not logged yet; a check may take several ticks
 TARGETS_KEPT = 32
+POSES_KEPT = 16  # until the event loop takes them
 TRAFFIC_KEPT = 32  # samples between two ticks: a flood costs no more
 TRAFFIC_NAME = re.compile("[A-Za-z0-9_-]{1,32}")
 LISTS_KEPT = 2  # admission lists between two looks; the ground repeats the newest
@@ -172,6 +186,38 @@ class ZenohLink:
         """All traffic samples since the last call. Never blocks."""
         samples = drain(self._traffic, TRAFFIC_KEPT)
         return tuple(each(samples, lambda one: self._traffic_sample(one, now_s), self._refuse(Code.TRAFFIC_MALFORMED)))
+
+    def hear_poses(self, take: Callable[[BodyPose, float], None]) -> None:
+        """From now on call `take` with each pose of this vehicle and the time of its arrival, in the running event loop.
+
+        Zenoh's thread keeps the newest POSES_KEPT and wakes the loop once: a flood costs no more, whatever the loop does.
+        """
+        loop, waiting = asyncio.get_running_loop(), deque[tuple[zenoh.Sample, float]](maxlen=POSES_KEPT)
+
+        def arrived(sample: zenoh.Sample) -> None:
+            waiting.append((sample, monotonic_s()))
+            if len(waiting) == 1:
+                with contextlib.suppress(RuntimeError):  # the loop has ended
+                    loop.call_soon_threadsafe(take_all)
+
+        def use(arrival: tuple[zenoh.Sample, float]) -> None:
+            if (pose := self._pose(arrival[0])) is not None:
+                take(pose, arrival[1])
+
+        def take_all() -> None:
+            for _ in range(len(waiting)):
+                each((waiting.popleft(),), use, self._refuse(Code.POSE_MALFORMED))
+            if waiting:  # came meanwhile, without a call
+                loop.call_soon(take_all)
+
+        self._poses = self.session.declare_subscriber(pose_key(self._fleet_name, ANY, self._vehicle_id), arrived)
+
+    def _pose(self, sample: zenoh.Sample) -> BodyPose | None:
+        source = pose_source_of(str(sample.key_expr))
+        if source is None:
+            self._reject(Code.POSE_MALFORMED)
+            return None
+        return self._decode(sample, decode_pose, f"{ParticipantRole.MOCAP}-{source}")
 
     def publish_peer(self, packet: PeerPacket) -> None:
         """Publish the own peer packet."""

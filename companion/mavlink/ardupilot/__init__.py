@@ -16,13 +16,14 @@ from math import cos
 from companion.geometry.frames import Quaternion
 from companion.mavlink.ardupilot.profile import PROFILE as PROFILE
 from companion.mavlink.codec import MavlinkMessage, mavlink, named
-from companion.mavlink.dialect import MIN_RATE_HZ_OF_ALL, LogHabits, command_long, common_command
+from companion.mavlink.dialect import MIN_RATE_HZ_OF_ALL, LogHabits, command_long, common_command, origin_message
 from companion.types.autopilot import (
     AttitudeTarget,
     AutopilotMode,
     AutopilotRequest,
     HeartbeatSample,
     SetMode,
+    SetOrigin,
     TakeOff,
 )
 
@@ -119,6 +120,9 @@ def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:
         case TakeOff(height_m):
             # Param 7 is the height above home, the position of arming.
             return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, param7=height_m)
+        case SetOrigin(latitude_deg, longitude_deg, altitude_amsl_m):
+            # With another altitude than the field's the height drifts while it is disarmed.
+            return origin_message(system_id, latitude_deg, longitude_deg, altitude_amsl_m)
         case _:
             return common_command(request, system_id)
 

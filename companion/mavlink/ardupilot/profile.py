@@ -187,6 +187,30 @@ MESSAGES = {
 }
 
 # ArduCopter arms, climbs, holds and flies formation in GUIDED. It leaves formation for BRAKE.
+EXTERNAL_NAVIGATION = 6  # of EK3_SRC1_*
+
+
+def _source(name: str, otherwise: Judgement) -> ParameterRule:
+    """The rule that the estimator takes this from poses."""
+    used = one_of({EXTERNAL_NAVIGATION: Judgement(OK, "external navigation")}, otherwise)
+    return ParameterRule(name, Code.POSES_NOT_USED, "6 (external navigation)", used, always(6.0))
+
+
+VISION_PARAMETERS: tuple[ParameterRule, ...] = (
+    ParameterRule(
+        "VISO_TYPE",
+        Code.POSES_NOT_USED,
+        "1 (MAVLink)",
+        one_of({1: Judgement(OK, "MAVLink")}, Judgement(REFUSAL, "takes no poses from MAVLink")),
+        always(1.0),
+        not_found=Judgement(REFUSAL),
+    ),
+    _source("EK3_SRC1_POSXY", Judgement(REFUSAL, "position is not from poses")),
+    _source("EK3_SRC1_VELXY", Judgement(WARNING, "velocity is not from poses")),
+    _source("EK3_SRC1_POSZ", Judgement(WARNING, "another height that drifts against the poses")),
+    _source("EK3_SRC1_YAW", Judgement(WARNING, "yaw is not from poses: a compass is wrong near steel")),
+)
+
 PROFILE = AutopilotProfile(
     modes=MODES
     | dict.fromkeys(ON_GROUND, frozenset({M.OFFBOARD}))
@@ -200,6 +224,7 @@ PROFILE = AutopilotProfile(
     flies_on_in_silence=True,  # for GUID_TIMEOUT, 3 s; then it levels and keeps its altitude, but not its position
     takes_off_by_altitude=False,
     parameters=PARAMETERS,
+    vision_parameters=VISION_PARAMETERS,
     decide_in_silence=("GUID_TIMEOUT", "GUID_OPTIONS"),
     messages=MESSAGES,
 )

@@ -8,7 +8,7 @@ from math import nan
 
 from companion.geometry.frames import Quaternion
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.mavlink.dialect import MIN_RATE_HZ_OF_ALL, LogHabits, command_long, common_command
+from companion.mavlink.dialect import MIN_RATE_HZ_OF_ALL, LogHabits, command_long, common_command, origin_message
 from companion.mavlink.px4.profile import PROFILE as PROFILE
 from companion.types.autopilot import (
     AttitudeTarget,
@@ -16,6 +16,7 @@ from companion.types.autopilot import (
     AutopilotRequest,
     ModeSample,
     SetMode,
+    SetOrigin,
     TakeOff,
 )
 
@@ -99,6 +100,10 @@ def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:
         case TakeOff(_, altitude_amsl_m):
             # NaN: at the present position and heading. Param 7 is above mean sea level.
             return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan, nan, nan, param7=altitude_amsl_m)
+        case SetOrigin(latitude_deg, longitude_deg, _):
+            # With height by vision every restart of it sets the altitude above sea level to minus z: with another altitude
+            # than 0 the vehicle would climb away.
+            return origin_message(system_id, latitude_deg, longitude_deg, 0.0)
         case _:
             return common_command(request, system_id)
 

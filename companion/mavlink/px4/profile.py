@@ -168,6 +168,40 @@ PARAMETERS: tuple[ParameterRule, ...] = (
     ParameterRule("MPC_THR_HOVER", Code.HOVER_THRUST_DIFFERS, NEAR_CONFIGURED, None, remedy=HOVER),
 )
 
+POSE_PARTS = 1 | 2 | 8  # bits of EKF2_EV_CTRL: horizontal position, vertical position, yaw; 4 is velocity
+
+
+def _vision_parts(value: float) -> Judgement:
+    lacks = {1: "position", 2: "height", 8: "yaw"}
+    names = [name for bit, name in lacks.items() if not int(value) & bit]
+    return Judgement(REFUSAL, f"does not take {', '.join(names)} from poses") if names else Judgement(OK, "takes poses")
+
+
+VISION_PARAMETERS: tuple[ParameterRule, ...] = (
+    ParameterRule(
+        "EKF2_EV_CTRL",
+        Code.POSES_NOT_USED,
+        "bits 0, 1 and 3 set, such as 11",
+        _vision_parts,
+        with_bit(POSE_PARTS),
+        not_found=Judgement(REFUSAL),
+    ),
+    ParameterRule(
+        "EKF2_HGT_REF",
+        Code.POSES_NOT_USED,
+        "3 (vision)",
+        one_of({3: Judgement(OK, "vision")}, Judgement(WARNING, "another height that drifts against the poses")),
+        always(3.0),
+    ),
+    ParameterRule(
+        "EKF2_GPS_CTRL",
+        Code.POSES_NOT_USED,
+        "0 (no GPS)",
+        one_of({0: Judgement(OK, "no GPS")}, Judgement(WARNING, "uses a GPS beside the poses, if one has a fix")),
+        always(0.0),
+    ),
+)
+
 OF_ONBOARD_LINKS = "set the MAV_x_MODE of this port to 2 (Onboard)"
 SENDERS = "PX4 v1.15 and newer"  # CURRENT_MODE came with it, the others are older
 MESSAGES = {
@@ -190,6 +224,7 @@ PROFILE = AutopilotProfile(
     flies_on_in_silence=False,  # COM_OF_LOSS_T after the last setpoint its own failsafe acts
     takes_off_by_altitude=True,
     parameters=PARAMETERS,
+    vision_parameters=VISION_PARAMETERS,
     decide_in_silence=("COM_OF_LOSS_T", "COM_OBL_RC_ACT"),
     messages=MESSAGES,
 )

@@ -27,6 +27,8 @@ class Code(StrEnum):
     PEER_IN_DOUBT = "PEER_IN_DOUBT"
     ESTIMATOR_BAD = "ESTIMATOR_BAD"
     POSITION_UNAIDED = "POSITION_UNAIDED"
+    POSE_LOST = "POSE_LOST"
+    POSE_REFUSED = "POSE_REFUSED"
     TILT_EXCEEDED = "TILT_EXCEEDED"
     FAILSAFE_ACTIVE = "FAILSAFE_ACTIVE"
     TICK_LATE = "TICK_LATE"
@@ -136,6 +138,7 @@ class Code(StrEnum):
     FENCE_ACTION_UNSAFE = "FENCE_ACTION_UNSAFE"
     GROUND_LOSS_ACTION = "GROUND_LOSS_ACTION"
     HOVER_THRUST_DIFFERS = "HOVER_THRUST_DIFFERS"
+    POSES_NOT_USED = "POSES_NOT_USED"
     RC_OVERRIDE_OFF = "RC_OVERRIDE_OFF"
     SETPOINT_LOSS_ACTION_UNSAFE = "SETPOINT_LOSS_ACTION_UNSAFE"
     SETPOINT_TIMEOUT_UNSAFE = "SETPOINT_TIMEOUT_UNSAFE"
@@ -265,6 +268,8 @@ class HealthFlag(StrEnum):
     OUTSIDE_FENCE = "OUTSIDE_FENCE"
     FRAME_CONTRADICTED = "FRAME_CONTRADICTED"
     POSITION_JUMPED = "POSITION_JUMPED"
+    POSE_REFUSED = "POSE_REFUSED"
+    POSE_LOST = "POSE_LOST"
     ESTIMATOR_BAD = "ESTIMATOR_BAD"
     POSITION_UNAIDED = "POSITION_UNAIDED"
     FAILSAFE_ACTIVE = "FAILSAFE_ACTIVE"
@@ -295,6 +300,8 @@ TEXTS: dict[str, str] = {
     "PEER_IN_DOUBT": "position and velocity of another vehicle contradict each other",
     "ESTIMATOR_BAD": "the autopilot's estimator reports a bad position",
     "POSITION_UNAIDED": "the autopilot dead-reckons: GPS or vision is lost",
+    "POSE_LOST": "no good motion-capture pose",
+    "POSE_REFUSED": "a motion-capture pose was not passed on",
     "TILT_EXCEEDED": "tilted beyond the limit",
     "FAILSAFE_ACTIVE": "the autopilot reports a failsafe of its own",
     "TICK_LATE": "the agent's ticks begin late",

@@ -8,7 +8,7 @@ import pytest
 
 from companion.core.autopilot import SentFrom
 from companion.core.safety.audit import AuditFinding, Facts, FleetFence, FoundHome, PositionCheck, Verdict, audit, worst
-from companion.mavlink.autopilot_types import PROFILES
+from companion.mavlink.autopilot_types import PROFILES, VISION_PROFILES
 from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code
 
@@ -291,3 +291,32 @@ def test_worst_verdict_counts() -> None:
     assert worst(audit(BENCH)) is OK
     assert worst(audit(replace(BENCH, battery_percent=-1.0))) is WARNING
     assert worst(audit(replace(BENCH, battery_percent=-1.0, rates_hz={}))) is REFUSAL
+
+
+VISION_RULES = {kind: profile.vision_parameters for kind, profile in PROFILES.items()}
+BY_POSES = {
+    AutopilotKind.PX4: {"EKF2_EV_CTRL": 11.0, "EKF2_HGT_REF": 3.0, "EKF2_GPS_CTRL": 0.0},
+    AutopilotKind.ARDUPILOT: {"VISO_TYPE": 1.0}
+    | {f"EK3_SRC1_{part}": 6.0 for part in ("POSXY", "VELXY", "POSZ", "YAW")},
+}
+
+
+@pytest.mark.parametrize("kind", list(AutopilotKind))
+def test_an_autopilot_that_gets_poses_must_use_them(kind: AutopilotKind) -> None:
+    """Each wrong value is found, and the value that doctor sets instead is right."""
+    for rule in VISION_RULES[kind]:
+        right = BY_POSES[kind][rule.name]
+        assert rule.judge is not None
+        assert rule.safe is not None
+        assert rule.judge(right).verdict is Verdict.OK
+        wrong = rule.judge(right + 4.0)
+        assert (wrong.verdict is Verdict.OK) is (rule.name == "EKF2_EV_CTRL")  # velocity may be used beside
+        assert rule.judge(right - 1.0).verdict is not Verdict.OK
+        assert rule.judge(rule.safe(right - 1.0)).verdict is Verdict.OK
+    assert {rule.name for rule in VISION_RULES[kind]} == set(BY_POSES[kind])
+
+
+def test_only_fleets_with_external_vision_are_asked_for_it() -> None:
+    for kind, profile in PROFILES.items():
+        assert VISION_PROFILES[kind].parameters == profile.parameters + profile.vision_parameters
+        assert not {rule.name for rule in profile.parameters} & set(BY_POSES[kind])

@@ -69,6 +69,8 @@ IN_FORMATION: dict[HealthFlag, dict[str, float]] = {
     F.POSITION_JUMPED: {"hold": 0.0},
     F.ESTIMATOR_BAD: {"warn": 0.0, "hold": 1.0},
     F.POSITION_UNAIDED: {"warn": 0.0, "hold": 1.0},
+    F.POSE_LOST: {"warn": 0.0, "hold": 0.3},
+    F.POSE_REFUSED: {"warn": 0.0},
     F.FAILSAFE_ACTIVE: {"warn": 0.0, "hold": 3.0},
     F.TILT_EXCEEDED: {"warn": 0.0, "hold": 0.3},
     F.TICK_LATE: {"warn": 0.0, "hold": 5.0},
@@ -81,6 +83,7 @@ AFTERWARDS: dict[HealthFlag, dict[str, float]] = {
     F.LEADER_LOST: {"land": 10.0},
     F.FLEET_LINK_LOST: {"land": 15.0},
     F.POSITION_UNAIDED: {"land": 1.0},
+    F.POSE_LOST: {"land": 1.8},
     F.FAILSAFE_ACTIVE: {"land": 3.0},
     F.BATTERY_LOW: {"land": 3.0},
     F.BATTERY_CRITICAL: {"land": 3.0},
@@ -88,6 +91,7 @@ AFTERWARDS: dict[HealthFlag, dict[str, float]] = {
 IN_A_COMMANDED_HOLD: dict[HealthFlag, dict[str, float]] = {
     F.BATTERY_CRITICAL: {"land": 3.0},
     F.POSITION_UNAIDED: {"land": 1.0},
+    F.POSE_LOST: {"land": 1.8},
 }
 STOPS = (F.POSITION_STALE, F.ATTITUDE_STALE, F.MODE_STALE, F.FRAME_UNKNOWN, F.GROUND_UNKNOWN)
 LATCHED = (F.BATTERY_LOW, F.BATTERY_CRITICAL, F.FAILSAFE_ACTIVE)  # a recovered voltage says nothing
@@ -180,6 +184,8 @@ class Vehicle:
             jump_time_s=0.0 if F.POSITION_JUMPED in raised else -inf,
             position_error=PositionError(6.0 if F.ESTIMATOR_BAD in raised else 0.3, 0.3),
             position_unaided=F.POSITION_UNAIDED in raised,
+            pose_time_s=now_s - 10.0 if F.POSE_LOST in raised else inf,
+            pose_refused_s=now_s if F.POSE_REFUSED in raised else -inf,
             failsafe_s=now_s if F.FAILSAFE_ACTIVE in raised else -inf,
             battery_percent=percent,
         )

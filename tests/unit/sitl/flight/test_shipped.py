@@ -46,7 +46,7 @@ def test_a_path_is_a_path(elsewhere: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "hint"),
     [
-        ("platon", "did you mean platoon or platoon_wind or mixed_platoon? "),
+        ("platon", "did you mean platoon or lab_platoon or platoon_wind? "),
         ("ring_figure8", "did you mean ring_figure_8? "),
         ("xyz", ""),
     ],
