@@ -78,7 +78,8 @@ verdicts: .venv/fly.ready
 	$(LAB).bench.verdicts
 
 # One flight at a time: latencies are measured.
-FAULT_TESTS = tests/faults/test_link_faults.py tests/faults/test_process_faults.py tests/faults/test_autopilot_faults.py
+FAULT_TESTS = tests/faults/test_link_faults.py tests/faults/test_process_faults.py tests/faults/test_autopilot_faults.py \
+	tests/faults/test_camera_faults.py
 faults: .venv/test.ready
 	$(BIN)/pytest -v --durations 5 --faults --fault-table docs/faults.md $(FAULT_TESTS)
 

@@ -191,6 +191,7 @@ class DoctorSession(Bench):
         assert self.parameters is not None
         profile = profiles_of(config.fleet)[vehicle.autopilot]
         rules, needs_altitude = profile.parameters, profile.takes_off_by_altitude
+        awaits_poses = config.fleet.external_vision is not None and vehicle.altitude_amsl_m is None
         parameters = await self.parameters.read_all(rule.name for rule in rules)
         round_trip_s = self.link.round_trip_s
         facts = Facts(
@@ -202,11 +203,15 @@ class DoctorSession(Bench):
             messages=profile.messages,
             interleaves=vehicle.interleaves,
             round_trip_s=self.parameters.shortest_read_s if round_trip_s is None else round_trip_s,
-            failing_checks=None if vehicle.armed else survey.failing_checks,
-            position_check=self._position_check(vehicle),
+            awaits_poses=awaits_poses,
+            failing_checks=None if vehicle.armed or awaits_poses else survey.failing_checks,
+            position_check=None if awaits_poses else self._position_check(vehicle),
             position_enu_m=vehicle.position_enu_m,
-            lacks_altitude=needs_altitude and vehicle.frame_known and vehicle.altitude_amsl_m is None,
-            home=self._found_home(vehicle),
+            lacks_altitude=needs_altitude
+            and vehicle.frame_known
+            and vehicle.altitude_amsl_m is None
+            and not awaits_poses,
+            home=None if awaits_poses else self._found_home(vehicle),
             battery_percent=-1.0 if survey.battery_percent is None else survey.battery_percent,
             mode_name=vehicle.mode_name,
             armed=vehicle.armed,

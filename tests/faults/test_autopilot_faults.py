@@ -14,7 +14,7 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from fault_table import FaultRow
-from process_fleet import IDS, LEADER, FaultyFleet, demanded, faulty_fleet
+from process_fleet import FAULT_AT_S, IDS, LEADER, FaultyFleet, demanded, faulty_fleet
 from sitl.links.ports import LOOPBACK, ports_of
 from wire_autopilots import PX4, HoveringAutopilot
 
@@ -22,7 +22,6 @@ pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240)]
 
 AFTER_TAKEOVER_S = 0.1  # acceptance: no setpoint later than this after the change is visible
 OTHERS = (1, 2, 3)
-FAULT_AT_S = 28.0  # of the stand-in; the fleet is in formation then
 WITHIN_S = 60.0
 
 
@@ -68,17 +67,6 @@ def test_the_agent_lets_go_when_a_pilot_takes_over(flight: FaultyFleet, row: Fau
     flight.check(row)
 
 
-def in_formation_before_the_fault(flight: FaultyFleet) -> None:
-    """The faults of a stand-in's file come at a fixed time of its clock."""
-    began_s = time.monotonic()
-    flight.form()
-    left_s = FAULT_AT_S - 3.0 - (time.monotonic() - began_s)
-    assert left_s > 0.0, "the fleet was not in formation in time"
-    flight.ground.listen(left_s)
-    flight.check_formation()
-    flight.fault()
-
-
 @pytest.mark.every_fault
 @pytest.mark.parametrize("shift_m", [0.5, 10.0])
 @pytest.mark.parametrize("vehicle_id", [LEADER, 3], ids=["leader", "follower"])
@@ -90,7 +78,7 @@ def test_an_estimator_reset_causes_no_step(tmp_path: Path, shift_m: float, vehic
     )
     reset = f"{{vehicle: {vehicle_id}, at_s: {FAULT_AT_S}, shift_enu_m: [0.0, {shift_m}, 0.0]}}"
     with faulty_fleet(tmp_path, f"stand_in.estimator_resets=[{reset}]") as flight:
-        in_formation_before_the_fault(flight)
+        flight.form_before_the_fault()
         flight.ground.listen(8.0)
         events = [event.code for event in flight.events(vehicle_id)]
         row.measured.append(", ".join(f"`{code}`" for code in dict.fromkeys(events)) or "no event")
@@ -110,7 +98,7 @@ def test_a_vehicle_with_a_low_battery_lands(tmp_path: Path, percent: int, code: 
     row.fault, row.demanded = f"battery of a follower falls to {percent} %, `{key.replace('=', ': ')}`", demanded(code)
     level = f"{{vehicle: 4, at_s: {FAULT_AT_S}, percent: {percent}}}"
     with faulty_fleet(tmp_path, f"fleet.{key}", f"stand_in.batteries=[{level}]") as flight:
-        in_formation_before_the_fault(flight)
+        flight.form_before_the_fault()
         flight.wait(lambda: flight.event(4, code), 10.0)
         raised_s = next(event.after_s for event in flight.events(4) if event.code == code)
         flight.wait(lambda: any("formation -> " in event.text for event in flight.events(4)), 10.0)

@@ -49,6 +49,7 @@ TOUCHING_M = 0.5  # where states arrive late, and vehicles stop one after anothe
 # knows the setpoints by their times of arrival.
 STEP_DEG = 4.5
 CONVERGED_M = 0.3
+FAULT_AT_S = 28.0  # of stand-ins and cameras, for faults in their files; the fleet is in formation then
 LOST_S = 0.7  # leader_beacon_max_age_s, one turn of a successor, and the way through three relays
 UNDISTURBED = Links(peer_transport="udp", peer_delay_s=0.002)  # not the default: the emulated network runs
 AGENTS_PORTS = 12_000  # away from the stand-ins' ports, where the taps listen
@@ -117,6 +118,16 @@ class FaultyFleet:
             if not in_the_air or name is CommandName.FORM:
                 self.ground.order(name, phase, tuple(ids))
         self.ground.listen(2.0)
+
+    def form_before_the_fault(self) -> None:
+        """Into formation, until shortly before FAULT_AT_S; what follows counts as measured."""
+        began_s = time.monotonic()
+        self.form()
+        left_s = FAULT_AT_S - 3.0 - (time.monotonic() - began_s)
+        assert left_s > 0.0, "the fleet was not in formation in time"
+        self.ground.listen(left_s)
+        self.check_formation()
+        self.fault()
 
     def land(self, ids: Sequence[int] = IDS) -> None:
         self.ground.order(CommandName.LAND, FlightPhase.OBSERVE, tuple(ids), within_s=60.0)

@@ -84,6 +84,7 @@ class Facts:
     missing: Collection[str] = ()
     messages: Mapping[str, SentFrom] = field(default_factory=dict)
     interleaves: bool = False  # two streams with the autopilot's system id
+    awaits_poses: bool = False  # which go to the agent alone: without them there is no position
     failing_checks: str | None = None
     position_check: PositionCheck | None = None
     position_enu_m: Vector3 | None = None
@@ -134,11 +135,15 @@ def _findings(facts: Facts) -> Iterator[AuditFinding]:
         yield AuditFinding("autopilot", Verdict.REFUSAL, Code.AUTOPILOT_ID_SHARED, TWO_STREAMS, wanted, ONE_ID_EACH)
     if facts.rates_hz is not None:
         for name, least_hz in MIN_RATES_HZ.items():
+            if facts.awaits_poses and name == "positions":  # ArduCopter sends none before the first pose
+                continue
             rate_hz, message = facts.rates_hz.get(name, 0.0), facts.messages.get(name)
             never = message is not None and name in facts.missing and rate_hz < least_hz
             yield _missing(name, message) if message and never else _rate(name, rate_hz, least_hz)
     if facts.round_trip_s is not None:
         yield _round_trip(facts.round_trip_s)
+    if facts.awaits_poses:
+        yield AuditFinding("position", Verdict.OK, None, "by poses, which only the agent gets", "judged by prepare")
     if facts.failing_checks is not None:
         yield _checks(facts.failing_checks)
     if facts.position_check is not None:

@@ -320,3 +320,12 @@ def test_only_fleets_with_external_vision_are_asked_for_it() -> None:
     for kind, profile in PROFILES.items():
         assert VISION_PROFILES[kind].parameters == profile.parameters + profile.vision_parameters
         assert not {rule.name for rule in profile.parameters} & set(BY_POSES[kind])
+
+
+def test_what_needs_poses_is_left_to_the_agent() -> None:
+    """They do not reach doctor: without them ArduCopter sends no position, and no arming check passes."""
+    rates_hz = {"positions": 0.0, "attitudes": 50.0, "modes": 2.0, "landed states": 5.0}
+    findings = audit(Facts((), {}, HOVER, rates_hz=rates_hz, awaits_poses=True))
+    assert {finding.verdict for finding in findings} == {Verdict.OK}
+    assert "position" in [finding.subject for finding in findings]
+    assert worst(audit(Facts((), {}, HOVER, rates_hz=rates_hz))) is Verdict.REFUSAL
