@@ -49,9 +49,12 @@ class AutopilotClock:
         return self._waiting_ns[-1]
 
     def receive_answer(self, ts1_ns: int, tc1_ns: int, received_s: float) -> None:
-        """TIMESYNC with its two times. What answers no request of this end, or by another clock, is ignored."""
+        """TIMESYNC with its two times. What answers no request of this end, or by another clock, is ignored.
+
+        Before the first position all count: ArduCopter sends none until it has used a pose, whose stamp is of its clock.
+        """
         boot_s = tc1_ns / 1e9
-        if ts1_ns not in self._waiting_ns or abs(boot_s - self._boot_s) > OTHER_CLOCK_S:
+        if ts1_ns not in self._waiting_ns or OTHER_CLOCK_S < abs(boot_s - self._boot_s) < inf:
             return
         self._waiting_ns.remove(ts1_ns)
         self.exchange(ts1_ns / 1e9, boot_s, received_s)
@@ -62,13 +65,14 @@ class AutopilotClock:
         self._ahead_s, self._answered_s = max(ahead_s for ahead_s, _ in self._exchanges), received_s
 
     def boot_s(self, at_s: float) -> float:
-        """The autopilot's clock when this computer's shows `at_s`; 0 before its first position."""
+        """The autopilot's clock when this computer's shows `at_s`; 0 before its first position or answer."""
         ahead_s = self._ahead_s if self._exchanges else min(self._least_s, self._least_before_s)
         return max(0.0, at_s - ahead_s)
 
     def late_s(self, boot_s: float, received_s: float) -> float:
         """How old a sample of `boot_s` was on arrival at `received_s`; 0 where that is usual."""
-        if boot_s < self._boot_s - REBOOT_S:
+        other = self._exchanges and abs(self.boot_s(received_s) - boot_s) > OTHER_CLOCK_S
+        if other or boot_s < self._boot_s - REBOOT_S:
             self.restart()
         self._boot_s = boot_s
         ahead_s = received_s - boot_s

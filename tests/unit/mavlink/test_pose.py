@@ -96,6 +96,23 @@ def test_the_stamp_follows_an_autopilot_that_has_rebooted() -> None:
     assert sent(translator, 1511.0).usec == pytest.approx(3_000_000, abs=2_000)
 
 
+def test_the_stamp_is_right_before_the_first_position() -> None:
+    """ArduCopter sends no position before it has used a pose, and the cameras may start late."""
+    translator = Translator(3)
+    for number in range(0, 200, 20):
+        exchange(translator, BOOTED_S + number, float(number), BOOTED_S + number + 0.001)
+    assert sent(translator, BOOTED_S + 190.0).usec == pytest.approx(190_000_000, abs=2_000)
+    hear_position(translator, 191.0, BOOTED_S + 191.001)
+    assert sent(translator, BOOTED_S + 192.0).usec == pytest.approx(192_000_000, abs=2_000)
+
+
+def test_the_first_position_shows_that_the_answers_before_it_are_of_another_clock() -> None:
+    translator = Translator(3)
+    exchange(translator, BOOTED_S, 1_800_000_000.0, BOOTED_S + 0.001)
+    hear_position(translator, 5.0, BOOTED_S + 5.0)
+    assert sent(translator, BOOTED_S + 5.5).usec == pytest.approx(5_500_000, abs=2_000)
+
+
 # ---------------------------------------------------------------- requests of the autopilot
 
 
