@@ -76,8 +76,9 @@ class AutopilotClock:
             self.restart()
         self._boot_s = boot_s
         ahead_s = received_s - boot_s
-        if received_s - self._answered_s > SILENT_S:
+        if self._exchanges and received_s - self._answered_s > SILENT_S:
             self._exchanges.clear()
+            self._least_s = self._least_before_s = inf  # of the time before the exchanges
         if self._exchanges:
             late_s = ahead_s - self._ahead_s - CLOCK_ERROR * (received_s - self._answered_s)
         else:

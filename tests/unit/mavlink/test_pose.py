@@ -113,6 +113,19 @@ def test_the_first_position_shows_that_the_answers_before_it_are_of_another_cloc
     assert sent(translator, BOOTED_S + 5.5).usec == pytest.approx(5_500_000, abs=2_000)
 
 
+def test_the_stamp_is_not_in_the_future_when_answers_cease() -> None:
+    """The clock of PX4 runs 1 to 2 % slow: the smallest difference of a minute ago is no guess of the present one."""
+    translator, ahead_us = Translator(3), []
+    for number in range(75 * 50):
+        now_s, boot_s = BOOTED_S + 0.02 * number, 0.99 * 0.02 * number
+        hear_position(translator, boot_s, now_s + 0.001)
+        if number % 10 == 0 and 1.0 < now_s - BOOTED_S < 60.0:
+            exchange(translator, now_s, boot_s, now_s + 0.001)
+        if now_s - BOOTED_S > 70.0:  # SILENT_S after the last answer
+            ahead_us.append(sent(translator, now_s).usec - boot_s * 1e6)
+    assert max(ahead_us) < 50_000
+
+
 # ---------------------------------------------------------------- requests of the autopilot
 
 
