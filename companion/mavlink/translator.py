@@ -186,12 +186,11 @@ class Translator:
         return (text,) if text else ()
 
     def _timesync(self, packet: Packet, received_s: float) -> Samples:
-        """A request, tc1 0, is answered by the autopilot's own clock: the stamps of poses are of that one."""
+        """A request, tc1 0, is answered by the autopilot's own clock, once known: the stamps of poses are of that one."""
         message = packet.fields
         if message.tc1:
             self.clock.receive_answer(message.ts1, message.tc1, received_s)
-        else:
-            boot_ns = round(self.clock.boot_s(received_s) * 1e9)
+        elif boot_ns := round(self.clock.boot_s(received_s) * 1e9):
             self.answers.append(self._codec.encode(mavlink.MAVLink_timesync_message(boot_ns, message.ts1)))
         return ()
 

@@ -78,9 +78,10 @@ def test_the_stamp_is_the_time_of_measuring_by_the_autopilots_clock(exchanges: b
     translator = Translator(3)
     for number in range(60):
         now_s = BOOTED_S + 5.0 + 0.02 * number
-        hear_position(translator, now_s - BOOTED_S, now_s + (0.3 if exchanges else 0.001))  # late: known by answers alone
+        late_s = 0.3 if exchanges else 0.001  # known by answers alone
+        hear_position(translator, now_s - BOOTED_S, now_s + late_s)
         if exchanges and number % 10 == 0:
-            exchange(translator, now_s, now_s + 0.001 - BOOTED_S, now_s + 0.3)
+            exchange(translator, now_s, now_s + 0.001 - BOOTED_S, now_s + late_s)
     assert sent(translator, BOOTED_S + 6.15).usec == pytest.approx(6_150_000, abs=1_500)
 
 
@@ -139,6 +140,13 @@ def test_a_request_is_answered_by_the_autopilots_own_clock() -> None:
     assert not translator.answers
     # It is the clock of the poses: a pose that is measured now has the stamp of the answer
     assert sent(translator, BOOTED_S + 5.021).usec == pytest.approx(answer.tc1 / 1e3, abs=1)
+
+
+def test_a_request_is_not_answered_before_the_autopilots_clock_is_known() -> None:
+    """An answer with the time 0 would be another request."""
+    translator = Translator(3)
+    hear(translator, mavlink.MAVLink_timesync_message(0, 5_020_000_123), BOOTED_S)
+    assert not translator.answers
 
 
 def test_a_flood_of_requests_is_bounded_and_the_newest_are_answered() -> None:
