@@ -96,7 +96,7 @@ class VehicleTracker:
         self.rejected: Counter[str] = Counter()
         self._events: list[Notice] = []  # raised while the current telemetry message is processed
         self._fields: dict[str, Any] = {"frame_known": self._frame_known()}  # newest value of every field
-        self._vision_origin = vision_origin
+        self._vision_origin, self._has_asked = vision_origin, False  # last time, for the autopilot's own origin
         if vision_origin is not None:
             self._fields["pose_time_s"] = -inf
         self.state = VehicleState(**self._fields)
@@ -147,13 +147,15 @@ class VehicleTracker:
                 period_s = ORIGIN_SOON_S
             if now_s - self._origin_asked_s >= period_s:
                 self._origin_asked_s = now_s
-                requests = (self._origin_to_set(now_s, vehicle) or RequestOrigin(),)
+                requests = (self._about_origin(now_s, vehicle),)
         return Perception(vehicle, self.rejected, requests, events)
 
-    def _origin_to_set(self, now_s: float, vehicle: VehicleState) -> SetOrigin | None:
-        """On the ground, of an autopilot that gets poses and has no origin. It answers with GPS_GLOBAL_ORIGIN."""
+    def _about_origin(self, now_s: float, vehicle: VehicleState) -> RequestOrigin | SetOrigin:
+        """On the ground an autopilot that gets poses and tells no origin when asked is given one, and is asked again."""
         waits = vehicle.altitude_amsl_m is None and not vehicle.armed and now_s - vehicle.pose_time_s <= POSE_GAP_S
-        return self._vision_origin if waits else None
+        sets = self._vision_origin if waits and self._has_asked else None
+        self._has_asked = sets is None
+        return sets or RequestOrigin()
 
     def fold(self, telemetry: Iterable[Telemetry]) -> tuple[VehicleState, tuple[Notice, ...]]:
         """State after these samples, and the events. An implausible sample is counted in `rejected` and changes nothing."""

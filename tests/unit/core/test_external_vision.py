@@ -58,6 +58,19 @@ class Vehicle:
         return asked
 
 
+def test_the_origin_is_set_where_the_autopilot_has_none_and_was_asked() -> None:
+    vehicle = Vehicle()
+    assert vehicle.fly(3.9) == [RequestOrigin(), ORIGIN, RequestOrigin(), ORIGIN]  # either answer may be lost
+    vehicle.fly(0.02, OriginSample(vehicle.now_s, 47.0, 8.0, 0.0))
+    assert set(vehicle.fly(3.0 * ORIGIN_REFRESH_S)) == {RequestOrigin()}
+
+
+def test_an_origin_that_the_autopilot_has_is_left_as_it_is() -> None:
+    vehicle = Vehicle()
+    assert vehicle.fly(0.02) == [RequestOrigin()]
+    assert set(vehicle.fly(20.0, OriginSample(vehicle.now_s, 48.0, 9.0, 100.0))) == {RequestOrigin()}
+
+
 @pytest.mark.parametrize("prevents", ["armed", "no poses", "not configured"])
 def test_the_origin_is_not_set(prevents: str) -> None:
     vehicle = Vehicle(None if prevents == "not configured" else ORIGIN)
@@ -82,6 +95,29 @@ def test_a_rebooted_autopilot_gets_its_origin_again() -> None:
 def test_nothing_is_asked_of_an_unknown_make() -> None:
     tracker = VehicleTracker(None, vision_origin=ORIGIN)
     assert tracker.step(10.0, [PoseSample(10.0, 10.0)], Flight()).requests == ()
+
+
+def test_arming_is_refused_until_the_origin_is_there() -> None:
+    flight = AgentFlight(fleet=replace(FLEET, external_vision=ExternalVision(place=PLACE)))
+    flight.sends_origin = False
+
+    def ticks(seconds: float, *commands: CommandName) -> None:
+        for _ in range(round(seconds * 50)):
+            flight.tick(*commands, telemetry=[*flight.telemetry(), PoseSample(flight.now_s, flight.now_s)])
+            commands = ()
+
+    assert flight.tick(CommandName.PREPARE).replies[0].code is Code.POSE_LOST  # before the first pose
+    ticks(2.0)
+    ticks(1.0, CommandName.PREPARE)
+    ticks(0.02, CommandName.ARM)
+    (reply,) = flight.outbox.replies
+    assert (reply.accepted, reply.code) == (False, Code.ALTITUDE_UNKNOWN)
+    assert "no origin" in reply.reason
+    assert Arm() not in flight.outbox.requests
+    flight.sends_origin = True
+    ticks(2.1)
+    ticks(0.02, CommandName.ARM)
+    assert flight.outbox.replies[0].accepted
 
 
 # ---------------------------------------------------------------- the state of the poses
