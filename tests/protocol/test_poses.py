@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from math import inf, nan
-from threading import Event
+from threading import Event, Thread
 
 import msgspec
 import pytest
@@ -189,3 +189,28 @@ def test_a_flood_takes_a_few_poses_of_each_pass_of_the_loop(agent: Agent) -> Non
     agent.heard.settle()
     assert sum(of_each) == len(agent.heard.poses)
     assert max(of_each) <= 2 * POSES_KEPT
+
+
+def test_a_link_is_closed_while_poses_arrive(agent: Agent) -> None:
+    ended = Event()
+
+    def publish() -> None:
+        while not ended.is_set():
+            agent.cameras.publish(1, (0.0, 0.0, 0.0), UNIT)
+
+    publishing = Thread(target=publish)
+    publishing.start()
+    try:
+        until(lambda: len(agent.heard.poses) > 100)
+        with agent.heard.blocked():  # poses wait
+            time.sleep(0.05)
+            agent.link.close()
+            heard = len(agent.heard.poses)
+        time.sleep(0.1)
+        agent.heard.settle()
+    finally:
+        ended.set()
+        publishing.join()
+    assert len(agent.heard.poses) == heard  # nothing is passed on to what is closed after the link
+    assert agent.link.session.is_closed()
+    assert not agent.rejected

@@ -205,6 +205,8 @@ class ZenohLink:
                 take(pose, arrival[1])
 
         def take_all() -> None:
+            if self.session.is_closed():  # and so is what `take` sends through
+                return
             for _ in range(len(waiting)):
                 each((waiting.popleft(),), use, self._refuse(Code.POSE_MALFORMED))
             if waiting:  # came meanwhile, without a call
