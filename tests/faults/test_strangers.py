@@ -79,6 +79,9 @@ def test_a_stranger_is_not_connected(flying: Undisturbed, row: FaultRow, who: st
         ("vehicle-2", "vehicle 2 publishes states, status, replies and liveliness of others, and commands"),
         ("monitor-tower", "a monitor publishes states and commands"),
         ("traffic-adsb", "a source of traffic publishes states and commands"),
+        pytest.param(
+            "mocap-hall", "a motion-capture system publishes states and commands", marks=pytest.mark.every_fault
+        ),
     ],
 )
 def test_a_participant_does_not_speak_for_others(flying: Undisturbed, row: FaultRow, who: str, attack: str) -> None:

@@ -24,6 +24,10 @@ class HeardPoses:
         self.takes_s = 0.0  # each
         loop.set_exception_handler(lambda _loop, context: self.errors.append(context))
 
+    def taken(self) -> list[BodyPose]:
+        """Those since the last call."""
+        return [self.poses.pop(0)[0] for _ in range(len(self.poses))]
+
     def settle(self) -> None:
         """Until the loop has run what waited."""
         for _ in range(3):

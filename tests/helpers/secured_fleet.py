@@ -79,7 +79,7 @@ def admitted_vehicles(fleet: str, keys: Mapping[int, ec.EllipticCurvePrivateKey]
 
 FLEET_NAME = "secured"
 VEHICLES = (1, 2, 3)
-OTHERS = ("ground-anna", "ground-ben", "monitor-tower", "target-beacon", "traffic-adsb")
+OTHERS = ("ground-anna", "ground-ben", "monitor-tower", "target-beacon", "traffic-adsb", "mocap-hall")
 GROUND = parse_common_name("ground-anna")
 FLEET = (
     f"name: {FLEET_NAME}\norigin: indoor\nvehicles:\n"
@@ -142,7 +142,7 @@ def tls_of(own: Path, authority: Path | None = None) -> dict[str, Any]:
     }
 
 
-OTHERS_IN_FLIGHT = ("ground-anna", "ground-ben", "monitor-tower", "target-main", "traffic-adsb")
+OTHERS_IN_FLIGHT = ("ground-anna", "ground-ben", "monitor-tower", "target-main", "traffic-adsb", "mocap-hall")
 OVERRIDES = (
     "fleet.law.name=cooperative",
     "fleet.takeoff_height_m=2.0",

@@ -18,7 +18,7 @@ import zenoh
 from common import until, with_fields
 from companion.config.fleet_check import load_fleet
 from companion.config.vehicle import ZenohEndpoints
-from companion.ground.publishers import TargetPublisher, TrafficPublisher
+from companion.ground.publishers import PosePublisher, TargetPublisher, TrafficPublisher
 from companion.ground.session import FleetSession
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.fleet.zenoh_session import EndpointError, open_session
@@ -26,15 +26,26 @@ from companion.security.admission import accept, read_certificate
 from companion.types.commands import Command, CommandName
 from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code
-from companion.types.peers import PeerPacket, TargetSample, TrafficSample
-from companion.wire.keys import abort_key, command_key, peer_key, reply_key, status_key, target_key, traffic_key
+from companion.types.peers import BodyPose, PeerPacket, TargetSample, TrafficSample
+from companion.wire.keys import (
+    abort_key,
+    command_key,
+    peer_key,
+    pose_key,
+    reply_key,
+    status_key,
+    target_key,
+    traffic_key,
+)
 from companion.wire.messages import encode, encode_peer
 from ground_fleet import PACKET
+from heard_poses import UNIT, HeardPoses, hearing_poses
 from processes import free_port
 from secured_fleet import FLEET_NAME, Identities, provisioned, stranger, tls_of
 
 TRIES_S = 1.5
 ZERO = (0.0, 0.0, 0.0)
+NOBODY = 666  # session of a source of poses that no certificate names
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +56,8 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Identities:
 class Link:
     """The Zenoh link of a vehicle, and everything that came over it."""
 
-    def __init__(self, link: ZenohLink, rejected: Counter[str]) -> None:
-        self.link, self.rejected = link, rejected
+    def __init__(self, link: ZenohLink, rejected: Counter[str], heard: HeardPoses) -> None:
+        self.link, self.rejected, self._heard = link, rejected, heard
         self.packets: list[PeerPacket] = []
         self.proven: list[bool] = []  # of each packet
         self.commands: list[Command] = []
@@ -58,7 +69,7 @@ class Link:
         self.packets += [received.packet for received in packets]
         self.proven += [received.proven for received in packets]
         self.commands += commands
-        self.others += [*self.link.targets(now_s), *self.link.traffic(now_s)]
+        self.others += [*self.link.targets(now_s), *self.link.traffic(now_s), *self._heard.taken()]
 
     @property
     def received(self) -> bool:
@@ -75,8 +86,8 @@ def vehicle(identities: Identities, vehicle_id: int, listen: str = "", connect: 
         lambda reason: rejected.update([reason]),
         identity=identities.of(f"vehicle-{vehicle_id}"),
     )
-    with closing(link):
-        yield Link(link, rejected)
+    with closing(link), hearing_poses(link) as heard:
+        yield Link(link, rejected, heard)
 
 
 @pytest.fixture(params=["tls", "quic"])
@@ -101,6 +112,8 @@ def everything(session: zenoh.Session, operators: tuple[str, ...] = ("ground-ann
                 session.put(command_key(FLEET_NAME, i, operator), encode(command))
                 abort = Command(CommandName.ABORT, number, operator, 7)
                 session.put(abort_key(FLEET_NAME, i, operator), encode(abort))
+            for source, own in (("hall", 1), ("attic", NOBODY)):
+                session.put(pose_key(FLEET_NAME, source, i), encode(BodyPose(own, number, 0.0, ZERO, UNIT)))
         session.put(target_key(FLEET_NAME, "beacon"), encode(TargetSample(1, number, 0.0, ZERO, ZERO)))
         session.put(traffic_key(FLEET_NAME, "adsb", "4b18"), encode(TrafficSample(ZERO, ZERO, 0.0, 0.0)))
 
@@ -152,14 +165,20 @@ def test_admitted_participants_reach_each_other(fleet: Identities, endpoint: str
         FleetSession("*", [endpoint], identity=fleet.of("ground-anna")) as ground,
         TargetPublisher(FLEET_NAME, [endpoint], identity=fleet.of("target-beacon")) as target,
         TrafficPublisher(FLEET_NAME, [endpoint], identity=fleet.of("traffic-adsb")) as traffic,
+        PosePublisher(FLEET_NAME, [endpoint], identity=fleet.of("mocap-hall")) as cameras,
     ):
         connected(first, second)
         until(lambda: second.packets, each=lambda: (first.link.publish_peer(PACKET), second.tick()))
         until(lambda: first.commands, each=lambda: (ground.command([1], CommandName.ABORT, 0.1), first.tick()))
         assert {(command.name, command.operator) for command in first.commands} == {(CommandName.ABORT, "ground-anna")}
         until(
-            lambda: {type(one).__name__ for one in first.others} == {"ReceivedTarget", "ReceivedTraffic"},
-            each=lambda: (target.publish(ZERO, ZERO), traffic.publish("4b18", ZERO, ZERO), first.tick()),
+            lambda: {type(one).__name__ for one in first.others} == {"ReceivedTarget", "ReceivedTraffic", "BodyPose"},
+            each=lambda: (
+                target.publish(ZERO, ZERO),
+                traffic.publish("4b18", ZERO, ZERO),
+                cameras.publish(1, ZERO, UNIT),
+                first.tick(),
+            ),
         )
         assert not first.rejected
 
@@ -194,6 +213,7 @@ def test_a_stranger_is_not_connected(fleet: Identities, endpoint: str, who: str,
         ("monitor-tower", set(), set(), set()),
         ("target-beacon", set(), set(), {"ReceivedTarget"}),
         ("traffic-adsb", set(), set(), {"ReceivedTraffic"}),
+        ("mocap-hall", set(), set(), {"BodyPose"}),
     ],
 )
 def test_a_participant_publishes_only_under_its_own_keys(
@@ -209,6 +229,7 @@ def test_a_participant_publishes_only_under_its_own_keys(
         assert {packet.sender.vehicle_id for packet in first.packets} == packets_of
         assert {command.operator for command in first.commands} == operators
         assert {type(one).__name__ for one in first.others} == others
+        assert not [one for one in first.others if isinstance(one, BodyPose) and one.session == NOBODY]
         assert not first.rejected
         ground.drain()
         assert not ground.rejected
@@ -217,12 +238,12 @@ def test_a_participant_publishes_only_under_its_own_keys(
 def test_who_is_revoked_is_not_used_from_the_next_list_on(tmp_path: Path) -> None:
     fleet = provisioned(tmp_path / "fleet")
     endpoint = f"tls/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
-    revoked = ("vehicle-2", "ground-anna", "target-beacon", "traffic-adsb")
+    revoked = ("vehicle-2", "ground-anna", "target-beacon", "traffic-adsb", "mocap-hall")
     with vehicle(fleet, 1, listen=endpoint) as first:
         sessions = [stranger(endpoint, tls_of(fleet.folder_of(name))) for name in (*revoked, "vehicle-3", "ground-ben")]
         attacks = [everything(session, ("ground-anna", "ground-ben")) for session in sessions]
         until(
-            lambda: len(first.packets) > 10 and len(first.commands) > 10 and len(first.others) > 10,
+            lambda: min(map(len, (first.packets, first.commands))) > 10 and len(set(map(type, first.others))) == 3,
             each=lambda: ([attack() for attack in attacks], first.tick()),
         )
         authority = read_certificate((fleet.folder / "authority" / "authority.pem").read_bytes())
