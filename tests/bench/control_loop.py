@@ -69,7 +69,8 @@ def measure(folder: Path) -> tuple[list[Section], Flown]:
         c_loop = build_c_loop(folder)
 
         def prepare() -> None:
-            _behind_relay(folder, offset)
+            ports = ports_of(MEASURED, offset)
+            behind_relay(folder / f"vehicle_{MEASURED}.yaml", ports.companion, ports.zenoh)
             file = msgspec.structs.replace(autopilot_file(scenario, 1), id=MAVSDK)
             content = yaml.safe_dump(msgspec.to_builtins(file), sort_keys=False)
             autopilot_path(folder, MAVSDK).write_text(content, encoding="utf-8")
@@ -80,13 +81,12 @@ def measure(folder: Path) -> tuple[list[Section], Flown]:
     return [_lateness(measured, c_loop, flown.failure), _command(measured, c_loop, flown.failure)], flown
 
 
-def _behind_relay(folder: Path, offset: int) -> None:
+def behind_relay(vehicle_file: Path, autopilot_port: int, client_port: int) -> None:
     """Let the agent listen where the relay forwards to."""
-    ports, path = ports_of(MEASURED, offset), folder / f"vehicle_{MEASURED}.yaml"
-    text, before = path.read_text(encoding="utf-8"), f"udpin:{LOOPBACK}:{ports.companion}"
+    text, before = vehicle_file.read_text(encoding="utf-8"), f"udpin:{LOOPBACK}:{autopilot_port}"
     if text.count(before) != 1:
-        raise ValueError(f"{path}: expected {before} once")
-    path.write_text(text.replace(before, f"udpin:{LOOPBACK}:{ports.zenoh}"), encoding="utf-8")
+        raise ValueError(f"{vehicle_file}: expected {before} once")
+    vehicle_file.write_text(text.replace(before, f"udpin:{LOOPBACK}:{client_port}"), encoding="utf-8")
 
 
 def _start_beside(stack: ExitStack, folder: Path, offset: int, c_loop: Path | None) -> None:

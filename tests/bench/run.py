@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import msgspec
 from msgspec.structs import replace
 
-from tests.bench import agent_step, batch, control_loop, further_peer, lockstep, peer_states, resources
+from tests.bench import agent_step, batch, control_loop, further_peer, lockstep, peer_states, poses, resources
 from tests.bench.figures import Section
 from tests.bench.machine import Machine, Meanwhile
 from tests.bench.page import others_in_words, page, row_in_words
@@ -59,6 +59,7 @@ def _steps(folder: Path) -> Iterator[Step]:
 
     yield "four real agents beside C, asyncio and mavsdk (a minute)", beside_others
     yield "real agents with 7 and 15 peers (two minutes)", lambda: [resources.measure(few[0], folder)]
+    yield "motion-capture poses into MAVLink (a minute)", lambda: [poses.measure(folder / "poses")]
     yield "age of peer states over Zenoh and UDP", lambda: [peer_states.measure(folder / "peers")]
     yield "Agent.step with 3, 10 and 50 neighbours", lambda: [agent_step.measure(folder)]
     yield "each further peer (a minute)", lambda: [further_peer.measure(folder)]

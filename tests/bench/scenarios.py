@@ -7,7 +7,7 @@ from math import ceil, dist, sqrt
 from pathlib import Path
 from typing import Any
 
-from sitl.flight.scenario import Scenario, scenario_from
+from sitl.flight.scenario import Scenario, load_scenario, scenario_from
 
 SCENARIOS = Path(__file__).parents[2] / "config" / "scenarios"  # those that are shipped
 SPACING_M = 2.0
@@ -23,6 +23,13 @@ def line(count: int, form_s: float) -> Scenario:
     """Vehicles in a line, each a neighbour of the one ahead and the one behind."""
     slots = {i: (-SPACING_M * (i - 1), 0.0, 0.0) for i in range(1, count + 1)}
     return _scenario(_content(slots, _chain(count), form_s))
+
+
+def laboratory(form_s: float, rate_hz: float) -> Scenario:
+    """The platoon that is shipped, whose agents pass so many poses a second on; this long in formation."""
+    form = f"{{command: takeoff, for_s: {TAKEOFF_S}}}, {{command: form, for_s: {form_s}}}"
+    timeline = f"timeline=[{{command: prepare}}, {{command: arm}}, {form}, {{command: land}}]"
+    return load_scenario(SCENARIOS / "lab_platoon.yaml", (f"fleet.external_vision.rate_hz={rate_hz}", timeline))
 
 
 def grid(count: int, form_s: float) -> Scenario:

@@ -15,9 +15,11 @@ from pathlib import Path
 import pytest
 
 from companion.mavlink.codec import mavlink
+from companion.mavlink.translator import Translator, pose_covariance
+from companion.types.peers import BodyPose
 from sitl.links.ports import LOOPBACK
 from tests.bench import batch_models, scenarios
-from tests.bench.programs import loops, relay
+from tests.bench.programs import loops, pose_source, relay
 
 pytestmark = pytest.mark.long
 
@@ -65,6 +67,19 @@ def test_the_relay_notes_the_first_command_after_each_position() -> None:
     assert all(float(line.split()[1]) > 0.0 for line in lines)
     for end in ends:
         end.close()
+
+
+def test_a_pose_is_known_by_its_north() -> None:
+    out = io.StringIO()
+    wire = pose_source.PoseRelay(200, 9_000, out)
+    north_m = 1.23456789
+    wire.put_ns[pose_source.FLOAT.pack(north_m)] = 1_000_000
+    pose = BodyPose(7, 1, 0.0, (5.0, north_m, 1.0), (1.0, 0.0, 0.0, 0.0))
+    packet = Translator(1).pose(pose, 0.0, pose_covariance(0.01, 0.01), 0)
+    for data in (encoded(TARGET), packet, packet):  # each counts once
+        wire.sent(data, 3_500_000)
+    (line,) = out.getvalue().splitlines()
+    assert line.split()[1] == "2500.0"
 
 
 def test_incomplete_lines_are_left_out(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ class Relay:
     """The two sockets, and the position that waits for its command."""
 
     def __init__(self, autopilot_port: int, client_port: int, out: TextIO) -> None:
-        self._out = out
+        self.out = out
         self._autopilot = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._autopilot.bind((LOOPBACK, autopilot_port))
         self._client = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -58,11 +58,15 @@ class Relay:
     def run(self) -> None:
         """Until the process is ended."""
         with selectors.DefaultSelector() as selector:
-            selector.register(self._autopilot, selectors.EVENT_READ, self._from_autopilot)
-            selector.register(self._client, selectors.EVENT_READ, self._from_client)
+            self.register(selector)
             while True:
                 for key, _ in selector.select():
                     key.data()
+
+    def register(self, selector: selectors.BaseSelector) -> None:
+        """The data of its keys are to be called where there is something to read."""
+        selector.register(self._autopilot, selectors.EVENT_READ, self._from_autopilot)
+        selector.register(self._client, selectors.EVENT_READ, self._from_client)
 
     def _from_autopilot(self) -> None:
         data, self._autopilot_address = self._autopilot.recvfrom(READ_BYTES)
@@ -80,13 +84,16 @@ class Relay:
             return  # an ICMP error for an earlier packet
         if self._autopilot_address:
             self._autopilot.sendto(data, self._autopilot_address)
+        for level, kind, value in ancillary:
+            if (level, kind) == (socket.SOL_SOCKET, SO_TIMESTAMPNS):
+                seconds, nanoseconds = struct.unpack("@qq", value)
+                self.sent(data, seconds * 1_000_000_000 + nanoseconds)
+
+    def sent(self, data: bytes, at_ns: int) -> None:
+        """The client has sent this datagram, at this time of the real-time clock."""
         if self._waiting and ATTITUDE_TARGET in message_ids(data):
             (forwarded_s, forwarded_ns), self._waiting = self._waiting, None
-            for level, kind, value in ancillary:
-                if (level, kind) == (socket.SOL_SOCKET, SO_TIMESTAMPNS):
-                    seconds, nanoseconds = struct.unpack("@qq", value)
-                    took_us = (seconds * 1_000_000_000 + nanoseconds - forwarded_ns) / 1e3
-                    self._out.write(f"{forwarded_s:.6f} {took_us:.1f}\n")
+            self.out.write(f"{forwarded_s:.6f} {(at_ns - forwarded_ns) / 1e3:.1f}\n")
 
 
 def commands_of(file: Path) -> list[tuple[float, float]]:
