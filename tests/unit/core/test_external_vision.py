@@ -7,7 +7,7 @@ from math import inf
 import pytest
 from msgspec.structs import replace
 
-from companion.config.fleet import ExternalVision, GeodeticOrigin
+from companion.config.fleet import VisionSettings, GeodeticOrigin
 from companion.core.estimation.accuracy import POSE_GAP_S
 from companion.core.estimation.vehicle import ORIGIN_REFRESH_S, VehicleTracker
 from companion.types.autopilot import (
@@ -98,7 +98,7 @@ def test_nothing_is_asked_of_an_unknown_make() -> None:
 
 
 def test_arming_is_refused_until_the_origin_is_there() -> None:
-    flight = AgentFlight(fleet=replace(FLEET, external_vision=ExternalVision(place=PLACE)))
+    flight = AgentFlight(fleet=replace(FLEET, external_vision=VisionSettings(place=PLACE)))
     flight.sends_origin = False
 
     def ticks(seconds: float, *commands: CommandName) -> None:
