@@ -18,11 +18,12 @@
 ## make faults     flies real fleets under every fault and writes the measured table into docs/faults.md (a quarter of an hour)
 ## make link-faults  flies fleets whose computers go silent or lose their network interface, in network namespaces (needs root; some minutes)
 ## make attacks    lets strangers attack a real fleet with identities and writes the table into docs/attacks.md (minutes)
+## make test-external  flies fleets of real PX4 and ArduCopter, of those whose programs are found (docs/external.md; some minutes)
 ## make test-vehicles, test-fleets  real processes one at a time: single vehicles, fleets
 ## make coverage   lines of the safety code and the separation filter that their tests do not reach; there must be none
 ## make tighten    lowers the budgets of source and tick (tests/unit/budgets.json) to today's figures
 
-.PHONY: bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet verdicts faults link-faults attacks test-vehicles test-fleets coverage tighten
+.PHONY: bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet verdicts faults link-faults attacks test-external test-vehicles test-fleets coverage tighten
 
 LAB = $(BIN)/python -m tests
 
@@ -90,6 +91,9 @@ link-faults: .venv/test.ready
 
 attacks: .venv/test.ready
 	$(BIN)/pytest -v --faults --fault-table docs/attacks.md tests/faults/test_strangers.py tests/faults/test_strangers_quic.py
+
+test-external: .venv/test.ready
+	$(BIN)/pytest -v -rs --durations 0 tests/external
 
 test-vehicles: .venv/test.ready
 	$(REAL_TIME_TESTS) -n 1 tests/protocol

@@ -61,6 +61,7 @@ class AutopilotLog:
 
 ULOG, DATAFLASH = ".ulg", ".bin"
 SUFFIXES = (ULOG, DATAFLASH)
+PARAMETERS = "eeprom.bin"  # of ArduPilot's simulation, no log
 MAX_LOG_BYTES = 2_000_000_000
 
 
@@ -91,7 +92,8 @@ def log_files(folder: Path, named: Sequence[Path]) -> tuple[Path, ...]:
     """Those in the folder that are not named."""
     known = {path.resolve() for path in named}
     inside = sorted(folder.rglob("*")) if folder.is_dir() else []
-    return tuple(path for path in inside if path.suffix.lower() in SUFFIXES and path.resolve() not in known)
+    logs = (path for path in inside if path.suffix.lower() in SUFFIXES and path.name != PARAMETERS)
+    return tuple(path for path in logs if path.resolve() not in known)
 
 
 def read_logs(files: Sequence[Path], flight: FlightRecords, named: Sequence[AutopilotLog] = ()) -> AutopilotLogs:

@@ -50,7 +50,18 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
 def _add_fly(parser: argparse.ArgumentParser) -> None:
     add_flight_arguments(parser)
     parser.add_argument(
-        "--external", type=Path, metavar="FILE", help="start no stand-ins: fly the external autopilots of this file"
+        "--external",
+        type=Path,
+        metavar="px4|ardupilot|FILE",
+        help="start no stand-ins but real PX4 (SIH) or ArduCopter (SITL), or fly the external autopilots of this file",
+    )
+    parser.add_argument(
+        "--binary",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="the program px4 or arducopter, where it is neither in PATH nor built in the home folder; may be repeated",
     )
     add_port_offset(parser)
 
@@ -106,7 +117,7 @@ def _run_run(parsed: argparse.Namespace) -> int:
 def _run_fly(parsed: argparse.Namespace) -> int:
     """Fly a scenario with real processes: one stand-in autopilot and one agent per vehicle, MAVLink between them, datagrams
     and Zenoh between the agents. Shows every vehicle live, lands, and leaves a folder with figures, plots, files and logs. With
-    --external the agents fly external autopilots, like PX4's and ArduPilot's own simulations.
+    --external the agents fly real autopilots: PX4 and ArduCopter in their own simulations, or others on a bench.
 
     examples:
       sitl fly platoon                        the paper's platoon with the paper's law
@@ -114,7 +125,8 @@ def _run_fly(parsed: argparse.Namespace) -> int:
       sitl fly platoon --compare              all laws in turn, one table, one figure
       sitl fly platoon --compare average_26   only these two
       sitl fly platoon --autopilot ardupilot  stand-ins that behave like ArduCopter instead of PX4
-      sitl fly four_in_line --external px4_sih.yaml   four PX4 in their own simulation
+      sitl fly platoon --external ardupilot   with four real ArduCopters in their own simulation
+      sitl fly four_in_line --external px4 --binary ~/px4/build/px4_sitl_sih/bin/px4
       sitl fly platoon --set stand_in.sensors=default --set timeline[3].for_s=20
       sitl fly platoon --set stand_in.airframe.attitude=instant --set stand_in.airframe.motor_lag_s=0
       sitl fly runs/platoon-weighted-20250131-120000/scenario.yaml   repeat a flight exactly
@@ -136,15 +148,16 @@ def _run_fly(parsed: argparse.Namespace) -> int:
       agent_N.log                    output of the agents; autopilots_1_to_M.log that of the stand-ins, which share a process
       vehicle_N_*.mcap               what the agent of vehicle N received and decided (docs/recording.md)
 
-    --external FILE flies the same scenario with agents alone. FILE gives for each vehicle the endpoint of its autopilot,
-    its hover thrust and its drag (px4_sih.yaml and others are in config/external/ of the source tree; docs/external.md). No
-    command is given before all vehicles are ready: the autopilots' own checks pass, origin and position are known,
-    parameters are in order, and each vehicle is on the ground within 10 m of its starts_enu_m, by fleet.origin, and apart
-    from the others. A vehicle that is armed already, or that its pilot takes over in flight, is left alone. Neither Ctrl-C
-    nor a failure ends the autopilots: the vehicles are landed and left. Their true positions are unknown: estimated_N.csv
-    instead of truth_N.csv holds the positions that each reported in the air, ten times a second, and summary.json has
-    `tracks: estimated`. The stand_in section of the
-    scenario is not used.
+    --external px4 or ardupilot starts one PX4 (SIH) or ArduCopter (SITL) for each vehicle in the place of the stand-ins, at its
+    starts_enu_m, with the parameters that an agent requires, and ends it after the flight (docs/external.md). A vehicle whose
+    autopilot the scenario names under stand_in.vehicles gets that type. All figures are from the true positions of their
+    simulations. autopilot_N.log and autopilot_N/ have its output and logs.
+    --external FILE connects to autopilots that another program has started, at the endpoints in FILE. They are never ended: the
+    vehicles are landed and left. Their true positions are unknown: estimated_N.csv instead of truth_N.csv holds the positions
+    that each reported in the air, ten times a second, and summary.json has `tracks: estimated`.
+    With either no command is given before all vehicles are ready: the autopilots' own checks pass, origin and position are
+    known, parameters are in order, and each vehicle is on the ground within 10 m of its starts_enu_m, by fleet.origin, and
+    apart from the others. A vehicle that is armed, or taken over by its pilot, is left alone.
 
     On a busy machine a line after the figures reports it: where more than 0.5 % of the ticks were missed, or an agent took more
     than 5 ms (p99) from telemetry to command, the figures are those of the machine rather than of the law.

@@ -34,6 +34,7 @@ from companion.config.planned_flight import graph_in_slots, neighbour_graph
 from companion.config.reference import TargetReference
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.tools.analysis_report import BADLY_DAMPED, GROWS, SMALL_DELAY_MARGIN_S
+from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
 from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from companion.types.flight import Role
@@ -68,7 +69,8 @@ class FlightOptions:
 
     `others` are the laws to compare with, None without --compare. `anyway` flies an unstable formation, too. `record`: agents
     in virtual time leave recordings; those of real processes always do. Real processes choose `port_offset` themselves where it
-    is None; `external` is the file of their external autopilots.
+    is None; `external` is the file of their external autopilots, or the type of real ones to be started, whose programs are
+    `binary` where they are not found.
     """
 
     scenario: Path
@@ -80,6 +82,7 @@ class FlightOptions:
     record: bool = False
     port_offset: int | None = None
     external: Path | None = None
+    binary: Sequence[Path] = ()
 
 
 class DivergesError(UnusableError):
@@ -185,12 +188,15 @@ class FlightResult:
 
 
 class FlightEnd(Struct, frozen=True, kw_only=True):
-    """How a flight ended: the failure in one line, the time flown, and the source of its tracks."""
+    """How a flight ended: the failure in one line, the time flown, the source of its tracks, and, where
+    real autopilots have flown in the place of stand-ins, their types by vehicle id.
+    """
 
     failure: str | None
     flight_s: float
     real_time_factor: float | None = None
     source: TrackSource = "true"
+    real_autopilots: Mapping[int, AutopilotKind] | None = None
 
 
 def result_of(scenario: Scenario, name: str, watch: FlightWatch, tracks: Tracks | None, end: FlightEnd) -> FlightResult:
@@ -229,21 +235,23 @@ def summarize(
     smallest_m: float | None = None,
 ) -> RunSummary:
     """`flight` is None where no formation was flown; `smallest_m` is the smallest distance of two vehicles on their tracks."""
-    fleet, stand_in, is_true = scenario.fleet, scenario.stand_in, end.source == "true"
+    fleet, stand_in = scenario.fleet, scenario.stand_in
+    by_stand_ins = end.source == "true" and end.real_autopilots is None
     figures = formation_figures(flight.tracks, flight.slots, flight.reference, flight.formation) if flight else None
     tracked = (
         tracking(flight.tracks, flight.slots, flight.reference, flight.formation, watch.leads()) if flight else None
     )
-    own = {i: scenario.stand_in_of(i) for i in ids_of(scenario)}
-    sensors = {sensors_in_words(one) for one in own.values()}
+    own = {i: scenario.stand_in_of(i) for i in ids_of(scenario)} if by_stand_ins else {}
+    autopilots = end.real_autopilots or {i: one.autopilot for i, one in own.items()}
+    sensors = {i: sensors_in_words(one) for i, one in own.items()}
     slots_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles}
     return RunSummary(
         scenario=name,
         law=fleet.law.name,
         law_parameters=fleet.law.parameters,
         tracks=end.source,
-        sensors=(" and ".join(sorted(sensors))) if is_true else None,
-        seed=stand_in.seed if is_true else None,
+        sensors=" and ".join(sorted(set(sensors.values()))) or None,
+        seed=stand_in.seed if by_stand_ins else None,
         failure=end.failure,
         flight_s=round(end.flight_s, 1),
         real_time_factor=_rounded(end.real_time_factor, 3),
@@ -252,7 +260,9 @@ def summarize(
         overload=watch.overload(),
         smallest_distance_m=_rounded(smallest_m),
         vehicles=[
-            _vehicle(member, own[member.id] if is_true else None, watch, figures, tracked)
+            _vehicle(
+                member, watch, figures, tracked, autopilot=autopilots.get(member.id), sensors=sensors.get(member.id)
+            )
             for member in sorted(fleet.vehicles, key=lambda member: member.id)
         ],
         commands=watch.commands,
@@ -267,18 +277,20 @@ def sensors_in_words(stand_in: StandIn) -> str:
 
 def _vehicle(
     member: FormationMember,
-    stand_in: StandIn | None,
     watch: FlightWatch,
     figures: FormationFigures | None,
     tracked: Tracking | None,
+    *,
+    autopilot: AutopilotKind | None,
+    sensors: str | None,
 ) -> VehicleSummary:
     vehicle_id = member.id
     timing, status = watch.timing.get(vehicle_id), watch.status(vehicle_id)
     return VehicleSummary(
         id=vehicle_id,
         role=member.role,
-        autopilot=stand_in.autopilot if stand_in else None,
-        sensors=sensors_in_words(stand_in) if stand_in else None,
+        autopilot=autopilot,
+        sensors=sensors,
         tick=TickFigures(rate_hz=timing.rate_hz, ticks=timing.ticks, missed=timing.missed, late_us=timing.late_us)
         if timing
         else None,

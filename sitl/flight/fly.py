@@ -13,14 +13,17 @@ from companion.config.file import ConfigError
 from companion.ground.answers import id_list
 from companion.ground.commands import MACHINE_CLOCK
 from companion.ground.session import FleetSession
+from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
 from companion.types.errors import EXIT_DONE, EXIT_FAILED
-from sitl.flight.director import Director
+from sitl.flight.director import POLL_S, Director
 from sitl.flight.external import ReachedVehicle, Readiness, load_external, vehicles_of
 from sitl.flight.files import autopilots_of, estimated_path, ids_of, truth_path
 from sitl.flight.flights import FlightEnd, FlightOptions, FlightOrder, FlightResult, FlyOnce, run_flights, write_results
 from sitl.flight.orders import REPLY_WITHIN_S, FlightFailure
 from sitl.flight.processes import FleetProcesses, publish_targets
+from sitl.flight.real_autopilots import RealFleet
+from sitl.flight.real_start import start_real
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import FlightWatch, watch_of
 from sitl.links.free_ports import reserved_ports
@@ -52,16 +55,30 @@ def run_fly(options: FlightOptions) -> int:
     def prepare(scenario: Scenario) -> Iterator[FlyOnce]:
         if scenario.agent_ends:
             raise ConfigError(options.scenario, "agent_ends", "ends agents in virtual time only; use sitl run")
-        external = _external(options, scenario)
-        autopilots = autopilots_of(scenario) if external is None else dict.fromkeys(ids_of(scenario))
-        with reserved_ports(autopilots, options.port_offset) as offset:
+        real = _real(options, scenario)
+        external = _external(options, scenario) if real is None else None
+        autopilots: Mapping[int, AutopilotKind | None] = real.kinds if real else autopilots_of(scenario)
+        with reserved_ports(dict.fromkeys(autopilots) if external else autopilots, options.port_offset) as offset:
             if offset and not options.quiet:
                 endpoints = " ".join(zenoh_endpoint(i, offset) for i in ids_of(scenario))
                 print(f"all ports are offset by {offset}: companion monitor --connect {endpoints}", flush=True)
 
-            yield lambda order: _Flight(order, options.quiet, offset, external).result()
+            reached = real.reached(offset) if real else external
+            yield lambda order: _Flight(order, options.quiet, offset, reached, real).result()
 
     return run_flights(options, prepare)
+
+
+def _real(options: FlightOptions, scenario: Scenario) -> RealFleet | None:
+    """The real autopilots that are to be started, None for all others. Raises ConfigError."""
+    named = str(options.external)
+    if named in list(AutopilotKind):
+        return RealFleet.of(scenario, AutopilotKind(named), options.binary)
+    if options.binary:
+        raise ConfigError("--binary", "", "goes with --external px4 or --external ardupilot, which start it")
+    if options.external and not options.external.exists():
+        raise ConfigError("--external", "", f"{named} is neither px4 nor ardupilot nor a file")
+    return None
 
 
 def _external(options: FlightOptions, scenario: Scenario) -> External | None:
@@ -71,13 +88,16 @@ def _external(options: FlightOptions, scenario: Scenario) -> External | None:
 
 
 class _Flight:
-    """One scenario flown with processes. With `external` autopilots there are no stand-ins."""
+    """One scenario flown with processes. With `external` autopilots there are no stand-ins; the `real` ones are started."""
 
-    def __init__(self, order: FlightOrder, quiet: bool, port_offset: int, external: External | None) -> None:
+    def __init__(
+        self, order: FlightOrder, quiet: bool, port_offset: int, external: External | None, real: RealFleet | None
+    ) -> None:
         self._order, self._scenario, self._folder = order, order.scenario, order.folder
-        self._port_offset, self._external = port_offset, external
+        self._port_offset, self._external, self._real = port_offset, external, real
         self._watch = watch_of(order.scenario, time.monotonic())
         self._progress = FlightProgress(order.title, quiet, self._watch.began_s)
+        self._doing = ""
 
     def result(self) -> FlightResult:
         """Fly and write the folder."""
@@ -88,13 +108,17 @@ class _Flight:
             tracks = self._tracks()
         except TrackError as error:
             failure = failure or str(error)
-        source: TrackSource = "true" if self._external is None else "estimated"
-        end = FlightEnd(failure=failure, flight_s=flight_s, source=source)
+        real = self._real.kinds if self._real else None
+        end = FlightEnd(failure=failure, flight_s=flight_s, source=self._source, real_autopilots=real)
         return write_results(self._order, self._watch, tracks, end)
 
+    @property
+    def _source(self) -> TrackSource:
+        return "true" if self._external is None or self._real else "estimated"
+
     def _tracks(self) -> Tracks:
-        """The true ones, or those reported by vehicles with external autopilots. Raises TrackError."""
-        if self._external is None:
+        """The true ones, or those reported by vehicles whose autopilots others have started. Raises TrackError."""
+        if self._source == "true":
             return {i: read_track(truth_path(self._folder, i)) for i in ids_of(self._scenario)}
         tracks = {i: reported_track(i, self._watch.reported[i]) for i in ids_of(self._scenario)}
         for vehicle_id, track in tracks.items():
@@ -106,16 +130,16 @@ class _Flight:
         self._folder.mkdir(parents=True, exist_ok=True)
         fleet_name = self._scenario.fleet.name
         endpoints = [zenoh_endpoint(i, self._port_offset) for i in ids_of(self._scenario)]
-        with (
-            FleetProcesses.start(self._scenario, self._folder, self._port_offset, self._external) as fleet,
-            self._progress,
-        ):
+        with self._progress, ExitStack() as processes:
+            try:
+                fleet = processes.enter_context(self._start())
+            except FlightFailure as failure:
+                return [str(failure)]
             with FleetSession(fleet_name, endpoints, FLYING_OPERATOR) as session, ExitStack() as stack:
                 targets = publish_targets(self._scenario, endpoints, self._watch.began_s, stack)
 
                 def check() -> None:
-                    if self._order.stop.number:
-                        raise FlightFailure(f"interrupted by {self._order.stop.number.name}")
+                    self._check_stop()
                     if ending := fleet.unexpected_end():
                         raise FlightFailure(ending)
                     targets.update(time.monotonic())
@@ -126,10 +150,31 @@ class _Flight:
                 director = Director(session, self._watch, self._progress, check, not_to_be_landed, MACHINE_CLOCK)
                 failures = director.wait_for(Readiness(self._scenario)) if self._external else []
                 failures = failures or director.fly_and_land(self._scenario.timeline)
-                if self._external:
+                if self._external and not self._real:
                     failures.extend(_left_in_the_air(self._watch, fleet.lost_vehicles()))
             failures.extend(fleet.stop_all())
         return failures
+
+    def _start(self) -> FleetProcesses:
+        """All processes. Raises FlightFailure."""
+        if self._real:
+            return start_real(self._real, self._folder, self._port_offset, self._starting)
+        return FleetProcesses.start(self._scenario, self._folder, self._port_offset, self._external)
+
+    def _starting(self, doing: str) -> None:
+        """Show it and wait a moment. Raises FlightFailure."""
+        if doing != self._doing:
+            self._doing = doing
+            self._progress.begin_step(doing, time.monotonic())
+        if self._progress.is_due():
+            self._progress.show((), time.monotonic())
+        time.sleep(POLL_S)
+        self._check_stop()
+
+    def _check_stop(self) -> None:
+        """Raises FlightFailure."""
+        if self._order.stop.number:
+            raise FlightFailure(f"interrupted by {self._order.stop.number.name}")
 
 
 def _left_in_the_air(watch: FlightWatch, lost: set[int]) -> list[str]:

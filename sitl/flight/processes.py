@@ -7,8 +7,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,7 +48,7 @@ class Child:
         if code < 0:
             was = "were" if len(self.vehicle_ids) > 1 else "was"
             return f"{self.name} {was} killed by {signal.Signals(-code).name}; log: {self.log}"
-        return f"{self.name} ended with exit code {code}: {self.last_output()}"
+        return f"{self.name} ended with exit code {code}: {self.last_output()}; log: {self.log}"
 
 
 class FleetProcesses(AbstractContextManager["FleetProcesses"]):
@@ -72,44 +72,70 @@ class FleetProcesses(AbstractContextManager["FleetProcesses"]):
         cls, scenario: Scenario, folder: Path, port_offset: int, stand_ins: Sequence[Sequence[int]]
     ) -> FleetProcesses:
         """Start the processes of the files in `folder`. Each item of `stand_ins` is the ids of those in one process."""
-        fleet = cls([])
-        try:
-            if network_path(folder).exists():
-                fleet._spawn("network", (), "sitl.links.emulated_network", str(network_path(folder)), folder=folder)
-            if cameras_path(folder).exists():
-                fleet._spawn("cameras", (), "sitl.links.cameras", str(cameras_path(folder)), folder=folder)
+        has_cameras = cameras_path(folder).exists()
+        with cls.whole_or_none() as fleet:
+            if has_cameras:
+                fleet.start_module("cameras", (), folder, "sitl.links.cameras", str(cameras_path(folder)))
             for ids in stand_ins:
                 fleet._start_stand_ins(folder, ids, port_offset)
-            for vehicle_id in ids_of(scenario):
-                fleet._start_agent(folder, vehicle_id)
-            if cameras_path(folder).exists():
+            fleet.start_agents(scenario, folder)
+            if has_cameras:
                 endpoints = [zenoh_endpoint(i, port_offset) for i in ids_of(scenario)]
                 reading = ("mocap", "run", str(mocap_path(folder)), "--connect", *endpoints)
-                fleet._spawn("mocap", (), "companion", *reading, folder=folder)
-        except BaseException:  # also an interruption: started processes must not remain
+                fleet.start_module("mocap", (), folder, "companion", *reading)
+        return fleet
+
+    @classmethod
+    @contextmanager
+    def whole_or_none(cls) -> Iterator[FleetProcesses]:
+        """Processes are started in the block; where it fails or is interrupted, none of them remains."""
+        fleet = cls([])
+        try:
+            yield fleet
+        except BaseException:
             fleet.kill()
             raise
-        return fleet
 
     def _start_stand_ins(self, folder: Path, ids: Sequence[int], port_offset: int) -> None:
         name = f"autopilot {ids[0]}" if len(ids) == 1 else f"autopilots {ids[0]} to {ids[-1]}"
         configs = [str(autopilot_path(folder, i)) for i in ids]
         truths = [str(truth_path(folder, i)) for i in ids]
         arguments = ["--config", *configs, "--truth", *truths, "--port-offset", str(port_offset)]
-        self._spawn(name, ids, "sitl", "autopilot", *arguments, folder=folder)
+        self.start_module(name, ids, folder, "sitl", "autopilot", *arguments)
 
-    def _start_agent(self, folder: Path, vehicle_id: int) -> None:
-        config = str(folder / f"vehicle_{vehicle_id}.yaml")
-        self._spawn(f"agent {vehicle_id}", [vehicle_id], "companion", "agent", "--config", config, folder=folder)
+    def start_agents(self, scenario: Scenario, folder: Path) -> None:
+        """The agents of the files in `folder`, and the network between them where its links are disturbed."""
+        if network_path(folder).exists():
+            self.start_module("network", (), folder, "sitl.links.emulated_network", str(network_path(folder)))
+        for vehicle_id in ids_of(scenario):
+            config = str(folder / f"vehicle_{vehicle_id}.yaml")
+            self.start_module(f"agent {vehicle_id}", [vehicle_id], folder, "companion", "agent", "--config", config)
 
-    def _spawn(self, name: str, ids: Sequence[int], module: str, *arguments: str, folder: Path) -> None:
+    def start_module(self, name: str, ids: Sequence[int], folder: Path, module: str, *arguments: str) -> None:
+        """A Python module as a program; its log is in `folder`."""
+        self.start_program(name, ids, folder, [sys.executable, "-m", module, *arguments])
+
+    def start_program(
+        self,
+        name: str,
+        ids: Sequence[int],
+        folder: Path,
+        command: Sequence[str],
+        own_folder: Path | None = None,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        """Another program, with its own working folder and what is added to the environment."""
         log = folder / f"{name.replace(' ', '_')}.log"
-        python = [sys.executable, "-m"]
-        command = [*python, "sitl.flight.bound", str(os.getpid()), *python, module, *arguments]
         with log.open("wb") as output:
             # In a session of its own: Ctrl-C in the terminal reaches the parent alone, which lands first.
             process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
+                [sys.executable, "-m", "sitl.flight.bound", str(os.getpid()), *command],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                cwd=own_folder,
+                env={**os.environ, **(environment or {})},
             )
         self._children = (*self._children, Child(name, tuple(ids), log, process))
 

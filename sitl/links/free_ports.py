@@ -55,10 +55,13 @@ def _ports_of_vehicle(vehicle_id: int, kind: AutopilotKind | None, port_offset: 
     ports = ports_of(vehicle_id, port_offset)
     if kind is not None:
         if AUTOPILOT_TYPES[kind].tcp_link:
-            yield socket.SOCK_STREAM, ports.tcp, f"autopilot {vehicle_id}"
+            for port in (ports.tcp, ports.tcp_agent, ports.tcp_true_position):
+                yield socket.SOCK_STREAM, port, f"autopilot {vehicle_id}"
         yield socket.SOCK_DGRAM, ports.onboard, f"autopilot {vehicle_id} towards its agent"
         yield socket.SOCK_DGRAM, ports.companion, f"agent {vehicle_id} towards its autopilot"
         yield socket.SOCK_DGRAM, ports.ground_link, f"autopilot {vehicle_id} towards a ground station"
+        for port in (ports.true_position, ports.true_source):
+            yield socket.SOCK_DGRAM, port, f"the true position of vehicle {vehicle_id}"
     for protocol in (socket.SOCK_STREAM, socket.SOCK_DGRAM):
         yield protocol, ports.zenoh, f"Zenoh of agent {vehicle_id}"
 

@@ -20,7 +20,11 @@ class Ports:
     onboard: int  # UDP, autopilot, link to the companion computer
     companion: int  # UDP, companion computer: the autopilot sends to it from the start
     ground_link: int  # UDP, autopilot, link to a ground station
-    tcp: int  # TCP, autopilot, ArduPilot only
+    tcp: int  # TCP, autopilot, ArduPilot only; a real one has two more links
+    tcp_agent: int  # its second
+    tcp_true_position: int  # its third
+    true_position: int  # UDP, to which a real PX4 sends its true position
+    true_source: int  # UDP, from which it does so
     zenoh: int  # TCP and UDP, agent
 
 
@@ -31,6 +35,10 @@ def ports_of(vehicle_id: int, offset: int = 0) -> Ports:
         companion=14540 + instance,
         ground_link=18570 + instance,
         tcp=5760 + 10 * (vehicle_id - 1) + offset,
+        tcp_agent=5762 + 10 * (vehicle_id - 1) + offset,
+        tcp_true_position=5763 + 10 * (vehicle_id - 1) + offset,
+        true_position=19410 + instance,
+        true_source=19450 + instance,
         zenoh=7447 + vehicle_id + offset,
     )
 

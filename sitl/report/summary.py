@@ -32,7 +32,8 @@ class TickFigures(Struct, frozen=True, kw_only=True):
 class VehicleSummary(Struct, frozen=True, kw_only=True):
     """Figures of one vehicle, from its agent's status reports and its track.
 
-    Timing is None without a report in formation, and in virtual time; `autopilot` and `sensors` without a stand-in.
+    Timing is None without a report in formation, and in virtual time; `sensors` without a stand-in, `autopilot` where another
+    program has started it, too.
     """
 
     id: int
@@ -55,8 +56,9 @@ class RunSummary(Struct, frozen=True, kw_only=True):
     """One flight. Figures of the formation are None if none was flown; `failure` is None for a flight without one.
 
     `real_time_factor`: seconds flown per second of computing time; None for real processes.
-    `tracks`: the source of distances and errors, the stand-ins' true positions or the estimates of external autopilots;
-    `sensors` and `seed` are then None. `overload`: the agents' timing beyond the limits of real time, None within them.
+    `tracks`: the source of distances and errors: true positions, of stand-ins or of real autopilots in their own simulation, or
+    the estimates of external autopilots. `sensors` and `seed` are those of stand-ins. `overload`: the agents' timing beyond
+    the limits of real time, None within them.
     `first_within_s`, `least_error_m` and `reference_moves` are those of FormationFigures.
     """
 
@@ -125,12 +127,17 @@ def in_words(summary: RunSummary) -> str:
 
 
 def _autopilots(summary: RunSummary) -> list[str]:
-    """Named where they differ."""
+    """Named where they differ, and where they are no stand-ins."""
     ids: dict[str, list[int]] = {}
     for vehicle in summary.vehicles:
         ids.setdefault(str(vehicle.autopilot), []).append(vehicle.id)
     named = "   ".join(f"{name} {', '.join(map(str, own))}" for name, own in ids.items())
-    return [f"  autopilots        {named}"] if len(ids) > 1 else []
+    real = "   (real ones, in their own simulation)" if _are_real(summary) else ""
+    return [f"  autopilots        {named}{real}"] if len(ids) > 1 or real else []
+
+
+def _are_real(summary: RunSummary) -> bool:
+    return summary.tracks == "true" and summary.sensors is None
 
 
 def _settled(summary: RunSummary) -> str:
@@ -145,7 +152,8 @@ def _settled(summary: RunSummary) -> str:
 
 
 def _overload_lines(summary: RunSummary) -> list[str]:
-    return [f"  {overload_line(summary.overload, summary.tracks)}"] if summary.overload else []
+    limit = OF_STAND_INS if summary.sensors else OF_AUTOPILOTS
+    return [f"  {overload_line(summary.overload, limit)}"] if summary.overload else []
 
 
 def _tracking_in_words(summary: RunSummary) -> list[str]:
@@ -203,10 +211,8 @@ def _ticks_in_words(summary: RunSummary) -> list[str]:
 
 MAX_MISSED_SHARE, MAX_LATENCY_MS = 0.005, 5.0  # of the ticks; p99 from telemetry to command. Idle: none, below 1 ms
 IF_TOO_BUSY = "distrust the figures, or fly in virtual time: sitl run"
-TOO_SLOW = {
-    "true": "the machine was too busy for real time: {}; " + IF_TOO_BUSY,
-    "estimated": "the machine or the autopilots were too slow for real time: {}",  # PX4's clock may run 2 % slow
-}
+OF_STAND_INS = "the machine was too busy for real time: {}; " + IF_TOO_BUSY
+OF_AUTOPILOTS = "the machine or the autopilots were too slow for real time: {}"  # PX4's clock may run 2 % slow
 
 
 def overload(ticks: int, missed: int, slowest_us: float) -> str | None:
@@ -216,14 +222,15 @@ def overload(ticks: int, missed: int, slowest_us: float) -> str | None:
     """
     found = []
     if missed > MAX_MISSED_SHARE * (ticks + missed):
-        found.append(f"{100.0 * missed / (ticks + missed):.1f} % of the ticks missed")
+        share = 100.0 * missed / (ticks + missed)
+        found.append(f"{share:.1f} % of the ticks missed (limit {100.0 * MAX_MISSED_SHARE:g} %)")
     if slowest_us > 1000.0 * MAX_LATENCY_MS:
-        found.append(f"{slowest_us / 1000.0:.0f} ms from telemetry to command (p99)")
+        found.append(f"{slowest_us / 1000.0:.1f} ms from telemetry to command (p99, limit {MAX_LATENCY_MS:g} ms)")
     return ", ".join(found) or None
 
 
-def overload_line(found: str, source: TrackSource = "true") -> str:
-    return TOO_SLOW[source].format(found)
+def overload_line(found: str, line: str = OF_STAND_INS) -> str:
+    return line.format(found)
 
 
 class ReportedEvent(Struct, frozen=True, kw_only=True):

@@ -7,7 +7,7 @@ from math import inf
 import pytest
 from msgspec.structs import replace
 
-from companion.config.fleet import VisionSettings, GeodeticOrigin
+from companion.config.fleet import GeodeticOrigin, VisionSettings
 from companion.core.estimation.accuracy import POSE_GAP_S
 from companion.core.estimation.vehicle import ORIGIN_REFRESH_S, VehicleTracker
 from companion.types.autopilot import (

@@ -216,7 +216,7 @@ def test_logs_of_the_stand_ins_are_read(kind: AutopilotKind, suffix: str, tmp_pa
 def test_logs_in_the_folder_are_found_where_they_are_not_named(tmp_path: Path) -> None:
     inside, outside = tmp_path / "flight" / "logs" / "a.ULG", tmp_path / "b.bin"
     inside.parent.mkdir(parents=True)
-    for path in (inside, outside):
+    for path in (inside, outside, inside.with_name("eeprom.bin")):  # the last has parameters of ArduPilot's simulation
         path.touch()
     folder = tmp_path / "flight"
     assert log_files(folder, [outside]) == (inside,)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from msgspec import structs
 
 from common import ROOT, with_fields
 from companion.config.file import ConfigError
@@ -261,6 +262,21 @@ def test_the_summary_states_the_source_of_the_positions(tmp_path: Path, scenario
     assert (summary.tracks, summary.sensors, summary.seed) == ("estimated", None, None)
     assert "  positions         as estimated by the vehicles" in in_words(result.summary)
     assert (tmp_path / "figure_5.png").stat().st_size > 0
+
+
+def test_the_summary_states_that_the_autopilots_were_real(tmp_path: Path, scenario: Scenario) -> None:
+    flight = DirectedFlight()
+    flight.fly(*WHOLE)
+    tracks = {i: reported_track(i, flight.watch.reported[i]) for i in (1, 2)}
+    order = FlightOrder(scenario, "pair", tmp_path, StopRequest("stopped"))
+    kinds = dict.fromkeys((1, 2), AutopilotKind.ARDUPILOT)
+    result = write_results(order, flight.watch, tracks, FlightEnd(failure=None, flight_s=1.0, real_autopilots=kinds))
+    summary = read_summary(tmp_path / "summary.json")
+    assert (summary.tracks, summary.sensors, summary.seed) == ("true", None, None)
+    assert [vehicle.autopilot for vehicle in summary.vehicles] == list(kinds.values())
+    words = in_words(structs.replace(result.summary, overload="9 ms"))
+    assert "  autopilots        ardupilot 1, 2   (real ones, in their own simulation)\n" in words
+    assert words.endswith("  the machine or the autopilots were too slow for real time: 9 ms")
 
 
 def test_a_run_removes_the_files_of_the_run_before(tmp_path: Path) -> None:

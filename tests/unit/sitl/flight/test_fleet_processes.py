@@ -41,7 +41,7 @@ def test_an_unexpected_end_is_reported_once_with_the_last_output(tmp_path: Path)
     with FleetProcesses([ends, runs]) as fleet:
         ends.process.wait()
         until_it_runs(runs)
-        assert fleet.unexpected_end() == "agent 2 ended with exit code 3: a reason"
+        assert fleet.unexpected_end() == f"agent 2 ended with exit code 3: a reason; log: {ends.log}"
         assert fleet.unexpected_end() is None
         assert fleet.lost_vehicles() == fleet.ended_by_themselves() == {2}
         assert fleet.stop() == []

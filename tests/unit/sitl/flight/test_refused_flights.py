@@ -70,6 +70,11 @@ def test_a_bad_scenario_and_a_bad_override_are_refused_in_one_line(tmp_path: Pat
     )
 
 
+def test_a_wrong_kind_of_external_autopilot_and_a_program_that_nobody_starts_are_refused(refused: Refused) -> None:
+    assert refused(str(PLATOON), "--external", "PX4") == "--external: PX4 is neither px4 nor ardupilot nor a file"
+    assert refused(str(PLATOON), "--binary", "px4").startswith("--binary: goes with --external px4 or ")
+
+
 def test_a_comparison_without_a_formation_is_refused(refused: Refused) -> None:
     line = refused(str(PLATOON), "--compare", "--set", "timeline=[{command: prepare}]")
     assert "timeline: has no step with command: form" in line

@@ -27,6 +27,14 @@ def test_a_port_in_use_is_named() -> None:
             check_ports([1, 2], AutopilotKind.PX4, 2300)
 
 
+@pytest.mark.parametrize("link", ["true_position", "true_source"])
+def test_the_ports_of_true_positions_are_checked(link: str) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", getattr(ports_of(2, 2300), link)))
+        with pytest.raises(PortInUseError, match=r"^UDP port 217[15]1, wanted by the true position of vehicle 2"):
+            check_ports([1, 2], AutopilotKind.PX4, 2300)
+
+
 @pytest.mark.parametrize(
     ("ids", "offset", "message"),
     [
@@ -45,10 +53,11 @@ def test_a_port_with_two_uses_is_refused_in_one_line(ids: list[int], offset: int
     assert "\n" not in str(caught.value)
 
 
-def test_the_tcp_port_of_an_arducopter_is_checked() -> None:
+@pytest.mark.parametrize("link", ["tcp", "tcp_agent", "tcp_true_position"])
+def test_the_tcp_ports_of_an_arducopter_are_checked(link: str) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as other:
-        other.bind(("127.0.0.1", ports_of(2, 2300).tcp))
+        other.bind(("127.0.0.1", getattr(ports_of(2, 2300), link)))
         other.listen()
-        with pytest.raises(PortInUseError, match=r"^TCP port 8070, wanted by autopilot 2"):
+        with pytest.raises(PortInUseError, match=r"^TCP port 807[023], wanted by autopilot 2"):
             check_ports([1, 2], AutopilotKind.ARDUPILOT, 2300)
         check_ports([1, 2], AutopilotKind.PX4, 2300)

@@ -60,10 +60,10 @@ def test_a_summary_is_read_back_unchanged(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("timing", "found"),
     [
-        (msgspec.structs.replace(TIMING, missed=297), "9.0 % of the ticks missed"),
+        (msgspec.structs.replace(TIMING, missed=297), "9.0 % of the ticks missed (limit 0.5 %)"),
         (
             msgspec.structs.replace(TIMING, telemetry_to_command_us=Percentiles(300, 28_000, 30_000)),
-            "28 ms from telemetry to command (p99)",
+            "28.0 ms from telemetry to command (p99, limit 5 ms)",
         ),
     ],
 )

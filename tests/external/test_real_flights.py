@@ -1,0 +1,191 @@
+"""Flights on real autopilots, for each type whose program is found: in PATH, or built in the home folder."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from math import dist
+from pathlib import Path
+
+import pytest
+
+from common import ROOT, until
+from companion.config.file import ConfigError
+from companion.types.autopilot import AutopilotKind
+from sitl.flight.real_autopilots import find_program
+from sitl.report.metrics import read_track
+from sitl.report.summary import RunSummary, read_summary
+
+pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
+
+SCENARIOS = ROOT / "config" / "scenarios"
+IDS = (1, 2, 3, 4)
+# Smallest true distances were 1.29 m (the paper's platoon swings by 0.2 m) and 2.2 m. PX4's estimates in SIH err by more than
+# 1.5 m allow: it flies the line, 3 m apart.
+PLATOON = {AutopilotKind.ARDUPILOT: ("platoon", 1.15), AutopilotKind.PX4: ("four_in_line", 1.8)}
+
+
+def program_of(kind: AutopilotKind) -> Path:
+    try:
+        return find_program(kind, [])
+    except ConfigError as error:
+        pytest.skip(f"not flown: {error}")
+
+
+@pytest.fixture(params=list(AutopilotKind))
+def kind(request: pytest.FixtureRequest) -> AutopilotKind:
+    """One of the types whose program is on this machine."""
+    program_of(request.param)
+    return AutopilotKind(request.param)
+
+
+class RealFlight:
+    """`sitl fly` with real autopilots, in the background."""
+
+    def __init__(self, folder: Path, scenario: str, kind: AutopilotKind, *overrides: str) -> None:
+        self.folder = folder / "out"
+        sets = [word for override in overrides for word in ("--set", override)]
+        arguments = [
+            str(SCENARIOS / f"{scenario}.yaml"),
+            "--external",
+            kind,
+            "--out",
+            str(self.folder),
+            "--quiet",
+            *sets,
+        ]
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "sitl", "fly", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+
+    def wait_for_formation(self) -> None:
+        logs = [self.folder / f"agent_{i}.log" for i in IDS]
+
+        def formed() -> bool:
+            assert self.process.poll() is None, self.process.communicate()[0]
+            return all(log.exists() and "engage -> formation" in log.read_text("utf-8") for log in logs)
+
+        until(formed, 200.0)
+        time.sleep(10.0)
+
+    def processes_of(self, text: str) -> list[int]:
+        """Processes of this flight with a word that contains the text."""
+        found = []
+        for folder in Path("/proc").iterdir():
+            try:
+                words = (folder / "cmdline").read_bytes().decode().split("\0") if folder.name.isdecimal() else []
+                inside = str(self.folder) in str((folder / "cwd").readlink()) or any(
+                    str(self.folder) in w for w in words
+                )
+            except OSError:  # ended meanwhile, or another user's
+                continue
+            if inside and any(text in word for word in words):
+                found.append(int(folder.name))
+        return found
+
+    def end(self) -> tuple[int, str, RunSummary]:
+        printed, _ = self.process.communicate(timeout=400)
+        assert self.processes_of("") == []
+        return self.process.returncode, printed, read_summary(self.folder / "summary.json")
+
+    def landed(self) -> list[int]:
+        """Vehicles that are at the height of their start at the end, by their true positions."""
+        ends = {i: read_track(self.folder / f"truth_{i}.csv").position_enu_m for i in IDS}
+        return [i for i, track in ends.items() if abs(track[-1][2] - track[0][2]) < 0.3]
+
+
+@pytest.fixture
+def fly(tmp_path: Path) -> Iterator[Callable[..., RealFlight]]:
+    flights: list[RealFlight] = []
+
+    def start(scenario: str, kind: AutopilotKind, *overrides: str) -> RealFlight:
+        flights.append(RealFlight(tmp_path, scenario, kind, *overrides))
+        return flights[-1]
+
+    yield start
+    for flight in flights:
+        flight.process.kill()
+        flight.process.wait()
+
+
+def test_platoon(fly: Callable[..., RealFlight], kind: AutopilotKind) -> None:
+    scenario, least_m = PLATOON[kind]
+    flight = fly(scenario, kind)
+    code, printed, summary = flight.end()
+    assert (code, summary.failure) == (0, None), printed
+    assert summary.tracks == "true" and {vehicle.autopilot for vehicle in summary.vehicles} == {kind}
+    assert summary.smallest_distance_m is not None and summary.smallest_distance_m > least_m
+    assert flight.landed() == list(IDS)
+    pngs = {path.name for path in flight.folder.glob("*.png")}
+    assert pngs == {"figure_5.png", "figure_6.png", "from_above.png"}
+
+
+def test_exchange(fly: Callable[..., RealFlight], kind: AutopilotKind) -> None:
+    flight = fly("exchange", kind)
+    code, printed, summary = flight.end()
+    assert code == 0, printed
+    assert summary.smallest_distance_m is not None and summary.smallest_distance_m > 2.0
+    assert flight.landed() == list(IDS)
+
+
+def test_a_killed_agent_ends_the_flight_and_the_others_land(
+    fly: Callable[..., RealFlight], kind: AutopilotKind
+) -> None:
+    flight = fly(PLATOON[kind][0], kind, "timeline[3].for_s=300")
+    flight.wait_for_formation()
+    (agent,) = flight.processes_of("vehicle_3.yaml")
+    os.kill(agent, signal.SIGKILL)
+    code, printed, summary = flight.end()
+    assert code == 1 and "agent 3 was killed by SIGKILL" in printed
+    assert set(flight.landed()) >= {1, 2, 4}
+    assert summary.smallest_distance_m is not None and summary.smallest_distance_m > PLATOON[kind][1]
+
+
+def test_a_successor_leads_when_the_leaders_agent_falls_silent(
+    fly: Callable[..., RealFlight], kind: AutopilotKind
+) -> None:
+    led = ("fleet.vehicles[1].may_lead=true", "fleet.successors=[2]")
+    flight = fly(PLATOON[kind][0], kind, *led, "timeline[3].for_s=300")
+    flight.wait_for_formation()
+    (agent,) = flight.processes_of("vehicle_1.yaml")
+    os.kill(agent, signal.SIGSTOP)  # after 3 s of silence the others are landed
+    code, printed, summary = flight.end()
+    assert code == 1 and "no report from vehicle 1" in printed
+    assert "leader in epoch 1" in (flight.folder / "agent_2.log").read_text("utf-8")
+    assert set(flight.landed()) >= {2, 3, 4}
+    assert summary.smallest_distance_m is not None and summary.smallest_distance_m > 0.8
+
+
+def test_ctrl_c_in_formation_lands_all_and_a_killed_sitl_fly_leaves_no_autopilot(
+    fly: Callable[..., RealFlight], kind: AutopilotKind
+) -> None:
+    flight = fly(PLATOON[kind][0], kind, "timeline[3].for_s=300")
+    flight.wait_for_formation()
+    flight.process.send_signal(signal.SIGINT)
+    code, printed, _ = flight.end()
+    assert code == 130, printed
+    assert flight.landed() == list(IDS)
+    flight = fly(PLATOON[kind][0], kind)
+    until(lambda: (flight.folder / "agent_4.log").exists(), 60.0)
+    flight.process.kill()
+    until(lambda: flight.processes_of("") == [], 10.0)
+
+
+def test_a_mixed_fleet(fly: Callable[..., RealFlight]) -> None:
+    for kind in AutopilotKind:
+        program_of(kind)
+    slots = [f"fleet.vehicles[{n}].slot_enu_m=[{-3 * n}, 0, 0]" for n in range(4)]
+    starts = [f"starts_enu_m.{n + 1}=[{-3.5 * n}, 0, 0]" for n in range(4)]
+    flight = fly("mixed_platoon", AutopilotKind.PX4, *slots, *starts, "fleet.altitude_source=takeoff")
+    code, printed, summary = flight.end()
+    assert code == 0, printed
+    assert [vehicle.autopilot for vehicle in summary.vehicles] == ["px4", "px4", "ardupilot", "ardupilot"]
+    for i, n in ((1, 0), (4, 3)):  # each was where the scenario has it
+        assert dist(read_track(flight.folder / f"truth_{i}.csv").position_enu_m[0], (-3.5 * n, 0.0, 0.0)) < 1.0
