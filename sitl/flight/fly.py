@@ -69,6 +69,12 @@ def run_fly(options: FlightOptions) -> int:
     return run_flights(options, prepare)
 
 
+def fly_real(order: FlightOrder, quiet: bool, real: RealFleet) -> FlightResult:
+    """One flight on real autopilots, at the first ports that are free. Raises PortInUseError."""
+    with reserved_ports(real.kinds, None) as offset:
+        return _Flight(order, quiet, offset, real.reached(offset), real).result()
+
+
 def _real(options: FlightOptions, scenario: Scenario) -> RealFleet | None:
     """The real autopilots that are to be started, None for all others. Raises ConfigError."""
     named = str(options.external)

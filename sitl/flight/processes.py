@@ -72,17 +72,10 @@ class FleetProcesses(AbstractContextManager["FleetProcesses"]):
         cls, scenario: Scenario, folder: Path, port_offset: int, stand_ins: Sequence[Sequence[int]]
     ) -> FleetProcesses:
         """Start the processes of the files in `folder`. Each item of `stand_ins` is the ids of those in one process."""
-        has_cameras = cameras_path(folder).exists()
         with cls.whole_or_none() as fleet:
-            if has_cameras:
-                fleet.start_module("cameras", (), folder, "sitl.links.cameras", str(cameras_path(folder)))
             for ids in stand_ins:
                 fleet._start_stand_ins(folder, ids, port_offset)
-            fleet.start_agents(scenario, folder)
-            if has_cameras:
-                endpoints = [zenoh_endpoint(i, port_offset) for i in ids_of(scenario)]
-                reading = ("mocap", "run", str(mocap_path(folder)), "--connect", *endpoints)
-                fleet.start_module("mocap", (), folder, "companion", *reading)
+            fleet.start_agents(scenario, folder, port_offset)
         return fleet
 
     @classmethod
@@ -103,13 +96,22 @@ class FleetProcesses(AbstractContextManager["FleetProcesses"]):
         arguments = ["--config", *configs, "--truth", *truths, "--port-offset", str(port_offset)]
         self.start_module(name, ids, folder, "sitl", "autopilot", *arguments)
 
-    def start_agents(self, scenario: Scenario, folder: Path) -> None:
-        """The agents of the files in `folder`, and the network between them where its links are disturbed."""
+    def start_agents(self, scenario: Scenario, folder: Path, port_offset: int) -> None:
+        """The agents of the files in `folder`, the cameras that see them, and the network between them if it is disturbed."""
+        if cameras_path(folder).exists():
+            self._start_cameras(scenario, folder, port_offset)
         if network_path(folder).exists():
             self.start_module("network", (), folder, "sitl.links.emulated_network", str(network_path(folder)))
         for vehicle_id in ids_of(scenario):
             config = str(folder / f"vehicle_{vehicle_id}.yaml")
             self.start_module(f"agent {vehicle_id}", [vehicle_id], folder, "companion", "agent", "--config", config)
+
+    def _start_cameras(self, scenario: Scenario, folder: Path, port_offset: int) -> None:
+        """The motion-capture system, and `companion mocap`, which reads it."""
+        self.start_module("cameras", (), folder, "sitl.links.cameras", str(cameras_path(folder)))
+        endpoints = [zenoh_endpoint(i, port_offset) for i in ids_of(scenario)]
+        reading = ("mocap", "run", str(mocap_path(folder)), "--connect", *endpoints)
+        self.start_module("mocap", (), folder, "companion", *reading)
 
     def start_module(self, name: str, ids: Sequence[int], folder: Path, module: str, *arguments: str) -> None:
         """A Python module as a program; its log is in `folder`."""

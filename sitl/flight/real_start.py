@@ -11,12 +11,12 @@ import msgspec
 import yaml
 
 from companion.ground.answers import id_list
-from sitl.flight.files import ids_of, truth_path, write_files
+from sitl.flight.files import captured_ids, ids_of, truth_path, write_cameras, write_files
 from sitl.flight.orders import FlightFailure
 from sitl.flight.processes import FleetProcesses
 from sitl.flight.real_autopilots import REAL, RealFleet
 from sitl.flight.true_positions import TruePositionsFile, TrueVehicle
-from sitl.links.ports import ports_of
+from sitl.links.ports import capture_ports, ports_of
 
 POSITION_WITHIN_S = 30.0  # of the last start. PX4 needs 3 s, ArduCopter 2 s; the rest is for slow machines
 RECORDER = "true positions"
@@ -28,6 +28,8 @@ Step = Callable[[str], None]
 def start_real(fleet: RealFleet, folder: Path, port_offset: int, step: Step) -> FleetProcesses:
     """Start all processes, whose files are written into `folder`. Raises FlightFailure."""
     write_files(fleet.scenario, folder, port_offset, fleet.reached(port_offset))
+    if captured_ids(fleet.scenario):
+        write_cameras(fleet.scenario, folder, port_offset)
     file = folder / "true_positions.yaml"
     plain = msgspec.to_builtins(true_positions_of(fleet, port_offset))
     file.write_text(yaml.safe_dump(plain, sort_keys=False), encoding="utf-8")
@@ -41,7 +43,7 @@ def start_real(fleet: RealFleet, folder: Path, port_offset: int, step: Step) -> 
         processes.start_module(RECORDER, (), folder, "sitl.flight.true_positions", str(file))
         _start_autopilots(fleet, processes, folder, port_offset, go_on)
         _wait_for_positions(fleet, folder, go_on)
-        processes.start_agents(fleet.scenario, folder)
+        processes.start_agents(fleet.scenario, folder, port_offset)
     return processes
 
 
@@ -49,7 +51,8 @@ def true_positions_of(fleet: RealFleet, port_offset: int) -> TruePositionsFile:
     origin = fleet.scenario.fleet.place
     assert origin is not None  # scenario_from accepts no other
     vehicles = (TrueVehicle(i, REAL[kind].true_endpoint(ports_of(i, port_offset))) for i, kind in fleet.kinds.items())
-    return TruePositionsFile(origin, tuple(vehicles))
+    seen_by = capture_ports(port_offset).truth if captured_ids(fleet.scenario) else None
+    return TruePositionsFile(origin, tuple(vehicles), truth_port=seen_by)
 
 
 def _start_autopilots(fleet: RealFleet, processes: FleetProcesses, folder: Path, port_offset: int, go_on: Step) -> None:

@@ -21,7 +21,7 @@ LAWS = BUILT_IN
 OWN_FILES = re.compile(
     r"summary\.json|comparison\.(json|png)|figure_[56]\.png|from_above\.png|(scenario|fleet|vehicle_\d+|autopilot_\d+)\.yaml"
     r"|(truth|estimated)_\d+\.csv|(agent|autopilot)_\d+\.log|(vehicle_\d+|ground)_\d+_\d+\.(mcap|tlog)"
-    r"|autopilots_\d+_to_\d+\.log|true_positions\.(yaml|log)"
+    r"|autopilots_\d+_to_\d+\.log|(true_positions|cameras|mocap|network)\.(yaml|log)"
 )
 
 

@@ -27,6 +27,7 @@ IDS = (1, 2, 3, 4)
 # Smallest true distances were 1.29 m (the paper's platoon swings by 0.2 m) and 2.2 m. PX4's estimates in SIH err by more than
 # 1.5 m allow: it flies the line, 3 m apart.
 PLATOON = {AutopilotKind.ARDUPILOT: ("platoon", 1.15), AutopilotKind.PX4: ("four_in_line", 1.8)}
+LABORATORY_M = {AutopilotKind.ARDUPILOT: 1.3, AutopilotKind.PX4: 0.9}
 
 
 def program_of(kind: AutopilotKind) -> Path:
@@ -132,6 +133,27 @@ def test_exchange(fly: Callable[..., RealFlight], kind: AutopilotKind) -> None:
     code, printed, summary = flight.end()
     assert code == 0, printed
     assert summary.smallest_distance_m is not None and summary.smallest_distance_m > 2.0
+    assert flight.landed() == list(IDS)
+
+
+def test_the_laboratory(fly: Callable[..., RealFlight], kind: AutopilotKind) -> None:
+    flight = fly("lab_platoon", kind, "timeline[3].for_s=30")
+    code, printed, summary = flight.end()
+    assert code == 0, printed
+    assert summary.smallest_distance_m is not None and summary.smallest_distance_m > LABORATORY_M[kind]
+    assert flight.landed() == list(IDS)
+
+
+def test_a_vehicle_lands_whose_body_is_lost_and_the_others_fly_on(
+    fly: Callable[..., RealFlight], kind: AutopilotKind
+) -> None:
+    lost = "stand_in.capture_faults=[{kind: lost, vehicle: 4, at_s: 60, for_s: 100}]"
+    flight = fly("lab_platoon", kind, lost, "timeline[3].for_s=100")
+    code, printed, summary = flight.end()
+    assert code == 0, printed
+    log = (flight.folder / "agent_4.log").read_text("utf-8")
+    assert "POSE_LOST" in log and "-> land" in log
+    assert summary.smallest_distance_m is not None and summary.smallest_distance_m > LABORATORY_M[kind]
     assert flight.landed() == list(IDS)
 
 

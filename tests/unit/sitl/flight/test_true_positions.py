@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from math import cos, pi, sin
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from companion.config.fleet import GeodeticOrigin
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from sitl.flight.true_positions import INTERVAL_US, TrueTrack
+from sitl.links.cameras import TRUTH
 from sitl.report.metrics import read_track
 
 ORIGIN = GeodeticOrigin(47.397742, 8.545594, 488.0)
@@ -20,15 +22,23 @@ HIL, SIM, COMMAND = (
 )
 
 
-def hil_state(vehicle_id: int, latitude: int, longitude: int, altitude_mm: int) -> bytes:
-    """As PX4 sends it: all other fields but time and attitude are 0."""
-    payload = struct.pack("<Q4f3f3i3h2H3h", 5, 1, 0, 0, 0, 0, 0, 0, latitude, longitude, altitude_mm, *[0] * 8)
+QUARTER_TURN = (cos(pi / 4), 0.0, 0.0, sin(pi / 4))  # nose to the east, of FRD in NED
+
+
+def hil_state(
+    vehicle_id: int, latitude: int, longitude: int, altitude_mm: int, attitude: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
+) -> bytes:
+    """As PX4 sends it: 1 m/s to the north, 2 to the east, 3 down; the rates and what comes after the velocity are 0."""
+    velocity_cm_s = (100, 200, 300)
+    payload = struct.pack(
+        "<Q4f3f3i3h2H3h", 5, *attitude, 0, 0, 0, latitude, longitude, altitude_mm, *velocity_cm_s, *[0] * 5
+    )
     return MavlinkCodec(vehicle_id, 1).encode(mavlink.mavlink_map[HIL](payload))
 
 
 def sim_state(vehicle_id: int, latitude: int, longitude: int, altitude_m: float) -> bytes:
     """As ArduCopter sends it: latitude and longitude are also in floats, which are good to 0.5 m."""
-    floats = [0.0] * 13 + [float(latitude), float(longitude), altitude_m, 0.0, 0.0, 0.0, 0.0, 0.0]
+    floats = [*QUARTER_TURN, *[0.0] * 9, float(latitude), float(longitude), altitude_m, 0.0, 0.0, 1.0, 2.0, 3.0]
     payload = struct.pack("<21f2i", *floats, latitude, longitude)
     return MavlinkCodec(vehicle_id, 1).encode(mavlink.mavlink_map[SIM](payload))
 
@@ -46,6 +56,30 @@ def test_a_position_becomes_a_row_about_the_origin(tmp_path: Path, packet: bytes
     flown = read_track(file)
     assert flown.time_s.tolist() == [10.0]
     assert flown.position_enu_m[0] == pytest.approx([-2.993, -3.006, 2.25], abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "packet",
+    [hil_state(2, 473_977_150, 85_455_543, 490_250, QUARTER_TURN), sim_state(2, 473_977_150, 85_455_543, 490.25)],
+    ids=["PX4", "ArduCopter"],
+)
+def test_cameras_see_the_pose_in_the_frames_of_the_fleet(packet: bytes) -> None:
+    shown: list[bytes] = []
+    assert TrueTrack(2, ORIGIN, lambda _line: None, shown.append).received(packet, 10.0)
+    (datagram,) = shown
+    vehicle_id, time_s, *pose = TRUTH.unpack(datagram)
+    assert (vehicle_id, time_s) == (2, 10.0)
+    assert pose[:3] == pytest.approx([-2.993, -3.006, 2.25], abs=0.01)
+    assert pose[3:6] == pytest.approx([2.0, 1.0, -3.0])  # east, north, up
+    assert pose[6:] == pytest.approx([1.0, 0.0, 0.0, 0.0], abs=1e-6)  # nose to the east: no turn of FLU in ENU
+
+
+def test_a_state_without_an_attitude_is_a_row_and_no_pose() -> None:
+    rows: list[str] = []
+    shown: list[bytes] = []
+    track = TrueTrack(2, ORIGIN, rows.append, shown.append)
+    assert track.received(hil_state(2, 473_977_150, 85_455_543, 490_250, (0.0, 0.0, 0.0, 0.0)), 10.0)
+    assert (len(rows), shown) == (2, [])
 
 
 def test_rows_are_of_one_vehicle_and_their_times_rise() -> None:
