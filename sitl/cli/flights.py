@@ -12,6 +12,7 @@ from companion.config.file import ConfigError
 from companion.config.law import USUAL
 from sitl.cli.options import (
     add_autopilot,
+    add_binary,
     add_out,
     add_out_and_quiet,
     add_port_offset,
@@ -55,14 +56,7 @@ def _add_fly(parser: argparse.ArgumentParser) -> None:
         metavar="px4|ardupilot|FILE",
         help="start no stand-ins but real PX4 (SIH) or ArduCopter (SITL), or fly the external autopilots of this file",
     )
-    parser.add_argument(
-        "--binary",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="PATH",
-        help="the program px4 or arducopter, where it is neither in PATH nor built in the home folder; may be repeated",
-    )
+    add_binary(parser)
     add_port_offset(parser)
 
 

@@ -68,6 +68,17 @@ def cluster_address(text: str) -> str:
     return f"{found['protocol'] or 'tcp://'}{found['host']}:{found['port']}"
 
 
+def add_binary(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--binary",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="the program px4 or arducopter, where it is neither in PATH nor built in the home folder; may be repeated",
+    )
+
+
 def add_port_offset(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--port-offset",

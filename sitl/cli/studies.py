@@ -7,8 +7,9 @@ from pathlib import Path
 
 from companion.cli.options import add_overrides, number, whole_number
 from companion.cli.program import CliCommand, command, fail
+from companion.types.autopilot import AutopilotKind
 from companion.types.errors import EXIT_DONE, EXIT_UNUSABLE
-from sitl.cli.options import add_cluster, add_out_and_quiet, options_of
+from sitl.cli.options import add_binary, add_cluster, add_out_and_quiet, options_of
 from sitl.compare.options import (
     DEFAULT_CONDITIONS,
     DEFAULT_GRAPHS,
@@ -189,6 +190,12 @@ def _add_gauntlet(parser: argparse.ArgumentParser) -> None:
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--jobs", type=whole_number(1, MOST_JOBS), metavar="N", help="processes (default: one per core)")
     add_cluster(place)
+    place.add_argument(
+        "--external",
+        choices=[str(kind) for kind in AutopilotKind],
+        help="fly on real PX4 (SIH) or ArduCopter (SITL), one flight after the other (docs/external.md)",
+    )
+    add_binary(parser)
     parser.add_argument("--page", type=Path, metavar="FILE", help="also write the table as a Markdown page")
     add_out_and_quiet(parser)
 
@@ -205,6 +212,10 @@ def _run_gauntlet(options: argparse.Namespace) -> int:
       sitl gauntlet --families joining,exchange --seed 7   two families only
       sitl gauntlet --sensors ideal --flights 1000 --jobs 4
       sitl gauntlet --fleet fleet.yaml                     your own fleet, with its slots, law and separation_m
+      sitl gauntlet --external px4 --flights 10            on real autopilots (two minutes a flight)
+
+    --external leaves out what only stand-ins can do (pilots, failures, split networks) and fleets of more than six; flights
+    land, and each has a folder like that of `sitl fly`.
 
     the folder (default: a new one, runs/gauntlet-DATE-TIME): gauntlet.json (every flight and the summaries), and the ten
     worst flights as scenario files: `sitl run FOLDER/FLIGHT.yaml` flies one again and plots it. FLIGHT.txt is the traceback

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Collection
 from itertools import islice
 from pathlib import Path
 
 from msgspec import Struct
 
+from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
 from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from sitl.cluster import workers_of
 from sitl.gauntlet.drawing import numbers_of
 from sitl.gauntlet.faults import ALL_FAMILIES
 from sitl.gauntlet.flight import FlightOutcome, Job, fly
+from sitl.gauntlet.real import REAL_FAMILIES, fly_real_flights
 from sitl.gauntlet.summary import COLUMNS, MEANING, FamilySummary, cells, page, summarize, write_worst
 from sitl.report.folder import results_folder, table_text
 from sitl.report.progress import ShareProgress
@@ -37,7 +40,9 @@ class GauntletReport(Struct, frozen=True, kw_only=True):
 def run_gauntlet(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit code. Raises what sitl/cli/main.py reports."""
     own = load_fleet(arguments.fleet) if arguments.fleet else None
-    families = parse_families(arguments.families)
+    if arguments.external:
+        return _run_real(arguments, own)
+    families = parse_families(arguments.families, ALL_FAMILIES)
     with (
         StopRequest("stopped at once; nothing was written") as stop,
         ShareProgress(arguments.quiet) as progress,
@@ -58,12 +63,24 @@ def run_gauntlet(arguments: argparse.Namespace) -> int:
     return code
 
 
-def parse_families(text: str | None) -> tuple[str, ...]:
-    """The families named in a comma-separated list; all without one. Raises UnusableError."""
-    names = tuple(text.split(",")) if text else tuple(ALL_FAMILIES)
+def _run_real(arguments: argparse.Namespace, own: FleetConfig | None) -> int:
+    """The same on real autopilots."""
+    families = parse_families(arguments.families, REAL_FAMILIES)
+    with StopRequest("stopped at once; the vehicles were not landed") as stop:
+        folder = results_folder(arguments.out, f"gauntlet-{arguments.external}")
+        outcomes = fly_real_flights(arguments, families, own, folder, stop)
+    if not outcomes:
+        raise UnusableError("stopped before the first flight was complete")
+    code = _finish(arguments, folder, outcomes, [])
+    return stop.exit_code if stop.number else code
+
+
+def parse_families(text: str | None, known: Collection[str]) -> tuple[str, ...]:
+    """The families named in a comma-separated list; all known ones without one. Raises UnusableError."""
+    names = tuple(text.split(",")) if text else tuple(known)
     for name in names:
-        if name not in ALL_FAMILIES:
-            raise UnusableError(f"--families: {name!r}, expected some of {', '.join(ALL_FAMILIES)}")
+        if name not in known:
+            raise UnusableError(f"--families: {name!r}, expected some of {', '.join(known)}")
     return names
 
 
@@ -92,5 +109,5 @@ def _finish(arguments: argparse.Namespace, folder: Path, outcomes: list[FlightOu
     for line in worst:
         print(line)
     print(f"results in {folder}")
-    bad = any(outcome.violation or outcome.exception for outcome in outcomes)
+    bad = any(outcome.violation or outcome.exception or (outcome.vehicles and outcome.failure) for outcome in outcomes)
     return EXIT_FAILED if bad else EXIT_DONE
