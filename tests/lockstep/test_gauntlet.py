@@ -16,13 +16,15 @@ from companion.types.commands import CommandName
 from companion.types.errors import EXIT_DONE, UnusableError
 from companion.types.flight import FlightPhase
 from sitl.cli.studies import GAUNTLET
+from sitl.flight.flights import FlightEnd, result_of
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario
-from sitl.flight.virtual_flight import fly_without_landing
+from sitl.flight.virtual_flight import fly_in_virtual_time, fly_without_landing
 from sitl.gauntlet.drawing import FAULTS_FROM, draw_flight, family_of, has_runaway, numbers_of
 from sitl.gauntlet.families import FAMILIES
 from sitl.gauntlet.faults import ALL_FAMILIES, FAULTS
 from sitl.gauntlet.flight import UNDISTURBED_EVERY, Job, distances, fly
+from sitl.gauntlet.real import draw_real, outcome_of
 from sitl.gauntlet.summary import write_worst
 from sitl.report.metrics import Track
 from sitl.report.progress import FlightProgress
@@ -282,3 +284,12 @@ def test_a_reference_is_commanded_to_vehicles_that_may_lead() -> None:
     assert flown.failure is None
     assert flown.refusals == []
     assert flown.watch.commands[-1].vehicles == [1, 2]
+
+
+def test_a_flight_for_real_autopilots_takes_its_times_from_take_off() -> None:
+    flight = next(draw_real(AutopilotKind.PX4, 1, ("formation_change",)))
+    flown = fly_in_virtual_time(flight.scenario, FlightProgress("real", True, 0.0))
+    end = FlightEnd(failure=flown.failure, flight_s=flown.flight_s)
+    outcome = outcome_of(1, flight, result_of(flight.scenario, "real", flown.watch, flown.tracks(), end))
+    assert (outcome.failure, outcome.violation) == ("", False)
+    assert outcome.arrivals is not None and None not in outcome.arrivals.reached_s.values()
