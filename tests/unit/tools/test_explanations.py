@@ -1,5 +1,6 @@
 """The table of explanations and `companion explain`."""
 
+import re
 import runpy
 
 import pytest
@@ -45,6 +46,12 @@ def test_symptom_cause_and_remedy_are_sentences(code: str) -> None:
         assert text.endswith(".")
         assert "  " not in text
     assert all(len(line) <= COLUMNS for line in report(code).splitlines())
+
+
+def test_no_advice_sends_the_reader_to_another_code() -> None:
+    sent = re.compile(r"\b(?:As for|See|see|as with|same as) (?:the )?`?([A-Z]+_[A-Z_]+)")
+    found = {code: sent.search(entry.remedy) for code, entry in code_entries().items()}
+    assert {code: match[0] for code, match in found.items() if match} == {}
 
 
 def test_explain_prints_the_entry_whatever_the_case(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,8 +9,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from companion.core.reference.blend import point
+from companion.geometry.airspace import Airspace, Cylinder, Fence
 from companion.report.plotting import COLOURS, MARKERS, STYLES
+from sitl.flight.watch import FlightWatch
 from sitl.report.metrics import Formation, FormationFlight, Track, stand_at
+from sitl.report.plan_view import save_plan_view
 from sitl.report.plots import save_comparison, save_figure_5, save_figure_6
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -106,6 +109,23 @@ def test_one_vehicle_and_many_are_drawn(tmp_path: Path, vehicles: int) -> None:
     save_figure_6(tmp_path / "6.png", flight("weighted", vehicles), "swarm")
     assert is_png(tmp_path / "5.png")
     assert is_png(tmp_path / "6.png")
+
+
+@pytest.mark.parametrize("obstacles", [(), (Cylinder((1.0, 2.0), 0.5, 0.0, 3.0),)])
+def test_one_panel_from_above_has_its_whole_legend(
+    tmp_path: Path, drawn: list[Figure], obstacles: tuple[Cylinder, ...]
+) -> None:
+    """The legend of an empty airspace, and the longest one."""
+    corners = ((-9.0, -3.0), (9.0, -3.0), (0.0, 4.0)) if obstacles else ()
+    airspace = Airspace(Fence((-50.0, -50.0, 0.0), (50.0, 50.0, 9.0), corners), obstacles)
+    watch = FlightWatch([1, 2, 3, 4], [1], 100.0)
+    watch.formations = [Formation(110.0, 135.0, 109.9)]
+    save_plan_view(tmp_path / "p.png", flight("weighted"), watch, "platoon", airspace)
+    [legend], page = drawn[0].legends, drawn[0].bbox
+    (x0, y0), (x1, y1) = legend.get_window_extent().get_points()
+    assert 0.0 < x0 < x1 < page.width
+    assert 0.0 < y0 < y1 < drawn[0].axes[0].get_window_extent().y0
+    assert len(legend.get_texts()) == (8 if obstacles else 6)
 
 
 def test_curves_differ_without_colour() -> None:
