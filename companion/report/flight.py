@@ -20,6 +20,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Words = NDArray[np.str_]
 Anything = NDArray[Any]
+FIRST_DATE_UNIX_S = 946684800.0  # of 2000: a clock that was never set is in 1970 or 1980, a virtual one begins in 1970
 FLYING_PHASES = tuple(str(phase) for phase in FLYING)
 
 
@@ -168,6 +169,11 @@ class FlightRecords:
     begin_unix_s: float
     fleet: FleetConfig | None = None
     problems: tuple[str, ...] = ()
+
+    @property
+    def has_date(self) -> bool:
+        """Not in virtual time, and not where the clock on board was never set."""
+        return self.begin_unix_s >= FIRST_DATE_UNIX_S
 
     @property
     def ends_s(self) -> float:

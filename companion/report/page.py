@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime, tzinfo
+from datetime import datetime, tzinfo
 from typing import TypeVar
 
 import jinja2
@@ -35,15 +35,13 @@ from companion.report.track_figures import draw_topology, draw_tracks
 
 SIGNS = {Severity.CRITICAL: "✖", Severity.WARNING: "▲", Severity.INFO: "●"}  # distinct without colour
 MOST_EVENTS, MOST_COMMANDS, MOST_EDGES, MOST_MARKS = 400, 1000, 40, 20
-FIRST_DATE_UNIX_S = 946684800.0  # of 2000: a clock that was never set is in 1970 or 1980, a virtual one begins in 1970
 Section = tuple[str, list[DrawnFigure]]
 Timed = TypeVar("Timed", FlightEvent, GivenCommand)
 
 
 def page_of(one: JudgedFlight, zone: tzinfo) -> str:
     """Draws the figures and writes the page. `zone`: of the local times."""
-    begin_unix_s = one.flight.begin_unix_s
-    zone = zone if begin_unix_s >= FIRST_DATE_UNIX_S else UTC
+    begin_unix_s = one.flight.begin_unix_s if one.flight.has_date else None
     axis = TimeAxis(one.flight.ends_s, begin_unix_s, zone, marks_of(rows_of(one.summary.findings)))
     return page(one.flight, one.summary, sections_of(one, axis), axis)
 
@@ -51,19 +49,24 @@ def page_of(one: JudgedFlight, zone: tzinfo) -> str:
 def page(flight: FlightRecords, summary: FlightSummary, sections: Sequence[Section], axis: TimeAxis) -> str:
     """The whole page. It requests nothing from a network and prints on A4."""
     environment = templates_of("companion.report")
-    environment.filters |= {"sign": SIGNS.__getitem__, "number": number, "clock": axis.clock, "prose": prose}
+    environment.filters |= {
+        "sign": SIGNS.__getitem__,
+        "number": number,
+        "clock": axis.clock,
+        "prose": prose,
+        "anchor": anchor,
+    }
     rows = rows_of(summary.findings)
     commands = _by_time({vehicle.vehicle_id: vehicle.commands for vehicle in flight.vehicles})
     events = _by_time({vehicle.vehicle_id: vehicle.events for vehicle in flight.vehicles})
-    date, zone = _date_and_zone(axis)
+    begins = _date_and_zone(axis)
     return environment.get_template("report.html.j2").render(
         flight=flight,
         summary=summary,
         rows=rows,
         verdict=verdict(rows),
         sections=sections,
-        date=date,
-        zone=zone,
+        begins=begins,
         counts=[(severity, count(rows, severity)) for severity in Severity],
         commands=commands[:MOST_COMMANDS],
         commands_left_out=max(0, len(commands) - MOST_COMMANDS),
@@ -77,10 +80,11 @@ def page(flight: FlightRecords, summary: FlightSummary, sections: Sequence[Secti
     )
 
 
-def _date_and_zone(axis: TimeAxis) -> tuple[str, str]:
+def _date_and_zone(axis: TimeAxis) -> tuple[str, str] | None:
+    """Of the begin; None without a date."""
+    if axis.begin_unix_s is None:
+        return None
     begin = datetime.fromtimestamp(axis.begin_unix_s, axis.zone)
-    if axis.begin_unix_s < FIRST_DATE_UNIX_S:
-        return "Without a date", "virtual time, or a clock that was never set"
     return f"{begin:%A, %d %B %Y}", f"{begin:UTC%z}"[:6] + ":" + f"{begin:%z}"[3:5]
 
 
@@ -124,6 +128,11 @@ def verdict(rows: Sequence[FindingRow]) -> str:
 def number(value: float | None, digits: int = 1) -> str:
     """A number with so many digits, "-" for an unknown one."""
     return "-" if value is None else f"{value:.{digits}f}"
+
+
+def anchor(title: str) -> str:
+    """The id of a section."""
+    return title.lower().replace(" ", "-")
 
 
 def prose(text: str) -> Markup:

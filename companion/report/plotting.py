@@ -142,25 +142,33 @@ def draw_obstacles(axes: Axes, obstacles: Iterable[Obstacle]) -> None:
 WIDTH_IN = 7.3  # the width of A4 between margins of 12 mm
 COLUMNS = 500  # a curve is drawn in so many columns, with two values in each
 TIME_LABEL = "time since the first record [s]"
-LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.62, 0.14, 0.38, 0.44  # margins; the right one has half a label of the time
+LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.62, 0.14, 0.2, 0.44  # margins; the right one has half a label of the time
+CLOCK_IN = 0.38  # upper margin with the time of day
 LEGEND_ROW_IN = 0.165
 LABEL_IN = 0.5  # from the values of an axis to its label
 SIZE = 8.0  # text size in points
 STEPS_S = (0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200)
 MOST_STEPS = 12
+MARK_SIZE = 6.5  # of the numbers of findings, in points
+NARROWEST_IN = 5.0  # width of a time axis beside the longest names
 
 
 @dataclass(frozen=True, slots=True)
 class TimeAxis:
-    """The time axis of all figures: from 0 s to the end, its local time of day, and the findings to be marked on it."""
+    """The time axis of all figures: from 0 s to the end, its local time of day, and the findings to be marked on it.
+
+    `begin_unix_s` None: a flight without a date.
+    """
 
     ends_s: float
-    begin_unix_s: float
+    begin_unix_s: float | None
     zone: tzinfo
     marks: tuple[tuple[float, str], ...] = ()
 
     def clock(self, time_s: float, digits: int = 0) -> str:
-        """The local time of day."""
+        """The local time of day; empty without a date."""
+        if self.begin_unix_s is None:
+            return ""
         at = datetime.fromtimestamp(round(self.begin_unix_s + time_s, digits), self.zone)
         return f"{at:%H:%M:%S}" + (f".{at.microsecond // 10 ** (6 - digits):0{digits}d}" if digits else "")
 
@@ -211,30 +219,64 @@ def dress_time(panels: Sequence[Axes], axis: TimeAxis) -> None:
             axes.axvline(time_s, color="#555555", linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=1)
     step_s = next((step_s for step_s in STEPS_S if axis.ends_s / step_s <= MOST_STEPS), axis.ends_s / MOST_STEPS)
     panels[-1].set_xlabel(TIME_LABEL, fontsize=SIZE + 0.5)
-    above = panels[0].secondary_xaxis("top")
-    for one in (panels[0], panels[-1], above):
+    for one in (panels[0], panels[-1]):
         one.xaxis.set_major_locator(MultipleLocator(step_s))
+    if axis.begin_unix_s is not None:
+        _add_clock(panels[0], axis, step_s)
+    _number_marks(panels[0], axis)
+
+
+def _add_clock(axes: Axes, axis: TimeAxis, step_s: float) -> None:
+    """The local time of day above the panel."""
+    above = axes.secondary_xaxis("top")
+    above.xaxis.set_major_locator(MultipleLocator(step_s))
     # A label at the right end would leave the picture.
     above.xaxis.set_major_formatter(
         FuncFormatter(lambda time_s, _: axis.clock(time_s) if time_s < 0.96 * axis.ends_s else "")
     )
     above.tick_params(labelsize=7, colors="#666666", length=0, pad=11)
     above.spines["top"].set_visible(False)
-    _number_marks(panels[0], axis)
 
 
 def _number_marks(axes: Axes, axis: TimeAxis) -> None:
-    """The numbers of the findings above the upper edge; those of one place share a label."""
-    places: list[tuple[float, list[str]]] = []
-    for time_s, number in sorted(axis.marks):
-        if places and time_s - places[-1][0] < 0.02 * axis.ends_s:
-            places[-1][1].append(number)
-        else:
-            places.append((time_s, [number]))
+    """The numbers of the findings above the upper edge."""
     box = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "#555555", "linewidth": 0.5}
     where: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "ha": "center", "va": "bottom", "zorder": 6}
-    for time_s, numbers in places:
-        axes.text(time_s, 1.02, ",".join(numbers), fontsize=6.5, color="#333333", bbox=box, **where)
+    for time_s, label in mark_labels(axis.marks, max(axis.ends_s, 1.0) / NARROWEST_IN):
+        axes.text(time_s, 1.02, label, fontsize=MARK_SIZE, color="#333333", bbox=box, **where)
+
+
+def mark_labels(marks: Iterable[tuple[float, str]], s_per_in: float) -> list[tuple[float, str]]:
+    """(time of its middle, numbers) of labels that do not overlap; marks too near to each other share one."""
+    groups: list[list[tuple[float, int]]] = []
+    for time_s, number in sorted((time_s, int(number)) for time_s, number in marks):
+        groups.append([(time_s, number)])
+        # A label that has grown may touch the one before it.
+        while len(groups) > 1 and _middle_s(groups[-1]) - _middle_s(groups[-2]) < s_per_in * (
+            (_width_in(groups[-1]) + _width_in(groups[-2])) / 2.0
+        ):
+            groups[-2:] = [groups[-2] + groups[-1]]
+    return [(_middle_s(group), _numbers(group)) for group in groups]
+
+
+def _middle_s(group: Sequence[tuple[float, int]]) -> float:
+    return (group[0][0] + group[-1][0]) / 2.0
+
+
+def _width_in(group: Sequence[tuple[float, int]]) -> float:
+    """Of the label with its frame and a gap."""
+    return (0.66 * MARK_SIZE * len(_numbers(group)) + 5.0) / 72.0
+
+
+def _numbers(group: Sequence[tuple[float, int]]) -> str:
+    """ "1–3,7": in order, what follows each other as a range."""
+    parts: list[list[int]] = []
+    for number in sorted(number for _, number in group):
+        if parts and number == parts[-1][-1] + 1:
+            parts[-1].append(number)
+        else:
+            parts.append([number])
+    return ",".join(f"{part[0]}–{part[-1]}" if len(part) > 2 else ",".join(map(str, part)) for part in parts)
 
 
 def finish(figure: Figure, panels: Sequence[Axes], left_in: float = LEFT_IN) -> None:
@@ -248,12 +290,13 @@ def finish(figure: Figure, panels: Sequence[Axes], left_in: float = LEFT_IN) -> 
         columns = min(len(found), max(1, int((WIDTH_IN - 0.2) / (0.68 + 0.066 * max(map(len, found))))))
         rows = -(-len(found) // columns)
     legend_in = LEGEND_ROW_IN * rows + (0.08 if rows else 0.0)
-    height_in = figure.get_figheight() + TOP_IN + BOTTOM_IN + legend_in
+    top_in = CLOCK_IN if any(axes.child_axes for axes in panels) else TOP_IN
+    height_in = figure.get_figheight() + top_in + BOTTOM_IN + legend_in
     figure.set_figheight(height_in)
     figure.subplots_adjust(
         left=left_in / WIDTH_IN,
         right=1.0 - RIGHT_IN / WIDTH_IN,
-        top=1.0 - TOP_IN / height_in,
+        top=1.0 - top_in / height_in,
         bottom=(BOTTOM_IN + legend_in) / height_in,
         hspace=0.16,
     )

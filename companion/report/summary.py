@@ -69,12 +69,12 @@ class SmallestSeparation(Struct, frozen=True):
 
 
 class FlightSummary(Struct, frozen=True, kw_only=True):
-    """What `companion report --json` prints. `begin_unix_s` is the Unix time of 0 s."""
+    """What `companion report --json` prints. `begin_unix_s` is the Unix time of 0 s; None without a date."""
 
     version: int = SUMMARY_VERSION
     software: str = __version__
     fleet: str
-    begin_unix_s: float
+    begin_unix_s: float | None
     lasts_s: float
     vehicles: tuple[VehicleFigures, ...]
     separation_m: float | None
@@ -95,7 +95,7 @@ def summary_of(
     flown = [pair for pair in pairs if pair.judged.any()]
     return FlightSummary(
         fleet=flight.fleet_name,
-        begin_unix_s=round(flight.begin_unix_s, 3),
+        begin_unix_s=round(flight.begin_unix_s, 3) if flight.has_date else None,
         lasts_s=round(flight.ends_s, 3),
         vehicles=tuple(vehicle_figures(vehicle, errors_m[vehicle.vehicle_id]) for vehicle in flight.vehicles),
         separation_m=flight.separation_m,

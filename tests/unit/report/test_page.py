@@ -156,8 +156,20 @@ def test_a_flight_in_virtual_time_has_no_date() -> None:
     """Its clock begins at 0, which a date would show as 1970."""
     text = page_of(judge(dataclasses.replace(flight_of(records_of(1, 24.0)), begin_unix_s=0.0)), ZONE)
     assert "1970" not in text
-    assert "Without a date, 00:00:00 to 00:00:" in text
-    assert "(virtual time, or a clock that was never set)" in text
+    assert "Without a date (virtual time, or a clock that was never set)" in text
+    assert re.findall(r"local|\d\d:\d\d:\d\d", text) == []  # nor times of day
+
+
+def test_the_contents_name_every_section_and_figure(html: str, page: Page) -> None:
+    contents = re.findall(r'href="#([^"]+)">', html.split("<nav", 1)[1].split("</nav>")[0])
+    assert [one.removeprefix("figure-") for one in contents if one.startswith("figure-")] == list(page.figures)
+    sections = ["findings", "vehicles", "flight", "formation", "law-and-leader", "health", "autopilots", "timing"]
+    assert [one for one in contents if not one.startswith("figure-")] == [
+        *sections,
+        "commands",
+        "events",
+        "configuration",
+    ]
 
 
 def test_the_page_of_a_vehicle_alone_has_no_figure_of_pairs() -> None:
@@ -170,7 +182,7 @@ def test_the_page_of_a_vehicle_alone_has_no_figure_of_pairs() -> None:
 def test_a_track_begins_at_the_first_position() -> None:
     def located_from_4_s(time_s: float, record: DecisionRecord) -> DecisionRecord:
         if time_s >= 4.0:
-            return replace(record, position_enu_m=(50.0, 60.0, 0.0))
+            return replace(record, position_enu_m=(50.0, 60.0, 0.0), reference_enu_m=None)
         return replace(record, position_enu_m=None, velocity_enu_m_s=None)
 
     def never_located(_time_s: float, record: DecisionRecord) -> DecisionRecord:
