@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from companion.link.tick import LATE_S
 from companion.report.autopilot_logs import MatchedLog, Series
-from companion.report.distances import PairDistance
+from companion.report.distances import PairDistance, in_formation
 from companion.report.flight import FlightRecords, Floats, VehicleLog
 from companion.report.plotting import (
     GREY,
@@ -36,6 +36,7 @@ MOST_PAIRS = 10  # for large fleets only the nearest pairs are drawn
 MOST_PANELS = 12
 SMOOTH_TICKS = 100  # 2 s: the estimate follows every gust and the noise
 JUDGED = "Judged are all records; drawn are the smallest and largest of each moment."
+LEAST_ERROR_M = 0.05  # upper end of the axis of errors, at the least
 BLACK: dict[str, Any] = {"color": "#000000"}
 
 Values = Callable[[VehicleLog], tuple[Floats, Floats]]
@@ -138,8 +139,13 @@ def _required(flight: FlightRecords, pair: tuple[int, int]) -> tuple[Floats, Flo
 def draw_errors(flight: FlightRecords, errors_m: Mapping[int, Floats], axis: TimeAxis) -> DrawnFigure:
     """Error to the slot of every vehicle; `errors_m` is per tick, by vehicle."""
     curves = _of_vehicles(flight, lambda one: (one.ticks.time_s, errors_m[one.vehicle_id]))
-    caption = f"|(x - d) - r|: position less its slot offset, to the leader's reference at that time. {JUDGED}"
-    panel = CurvePanel("error to slot [m]", curves, low=0.0)
+    inside = [errors_m[one.vehicle_id][in_formation(one)] for one in flight.vehicles]
+    largest_m = max((float(np.nanmax(own, initial=0.0)) for own in inside if np.isfinite(own).any()), default=None)
+    high_m = None if largest_m is None else max(LEAST_ERROR_M, 1.05 * largest_m)
+    caption = f"|(x - d) - r|: position less its slot offset, to the leader's reference at that time. {JUDGED}" + (
+        " The axis is that of the formation; before and after, larger errors leave it." if high_m else ""
+    )
+    panel = CurvePanel("error to slot [m]", curves, low=0.0, high=high_m)
     return _draw(axis, [panel], 1.9, "errors", "Error to the slot over time", caption)
 
 

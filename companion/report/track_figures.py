@@ -12,10 +12,12 @@ from companion.config.fleet import FleetConfig
 from companion.report.distances import PairDistance, in_formation
 from companion.report.flight import FlightRecords, Floats, VehicleLog
 from companion.report.plotting import (
+    GUIDE,
     LEFT_IN,
     MARKERS,
     RIGHT_IN,
     SIZE,
+    SOFT,
     WIDTH_IN,
     DrawnFigure,
     draw_fence,
@@ -26,9 +28,11 @@ from companion.report.plotting import (
     render,
     vehicle_look,
 )
+from companion.types.flight import Role
 
 Range = tuple[float, float]
 HIGHEST_IN = 5.2
+REFERENCE: dict[str, Any] = GUIDE | {"linewidth": 1.6, "zorder": 3}
 POINTS = 1500  # largest number of points in a drawn track
 MOST_CELLS = 16  # vehicles in the table of shares
 
@@ -40,6 +44,7 @@ def draw_tracks(flight: FlightRecords, pairs: Sequence[PairDistance]) -> DrawnFi
     axes = figure.subplots()
     for vehicle in flight.vehicles:
         _draw_track(axes, vehicle)
+    _draw_references(axes, flight)
     _draw_nearest(axes, flight, pairs)
     _draw_airspace(axes, flight.fleet, x_range, y_range)
     axes.set_xlim(*x_range)
@@ -48,14 +53,16 @@ def draw_tracks(flight: FlightRecords, pairs: Sequence[PairDistance]) -> DrawnFi
     dress_panel(axes, "east [m]", "north [m]")
     finish(figure, [axes])
     caption = (
-        "Open symbols: first position; filled: last position. Fence and obstacles are drawn where they are in view."
+        "Open symbols: first position; filled: last position. Reference: of the leaders in formation; +: its end."
+        " Fence and obstacles are drawn where they are in view."
     )
     return render(figure, "tracks", "Tracks from above", caption)
 
 
 def view(flight: FlightRecords) -> tuple[Range, Range]:
-    """What the tracks cover, with a margin: a far fence does not make them small."""
+    """What tracks and reference cover, with a margin: a far fence does not make them small."""
     tracks_m = [vehicle.ticks.position_enu_m[vehicle.ticks.located, :2] for vehicle in flight.vehicles]
+    tracks_m += [reference_m[~np.isnan(reference_m[:, 0])] for reference_m in map(_reference_enu_m, flight.vehicles)]
     positions = [track_m for track_m in tracks_m if track_m.size]
     if not positions:
         return (-1.0, 1.0), (-1.0, 1.0)
@@ -82,7 +89,36 @@ def _draw_track(axes: Axes, vehicle: VehicleLog) -> None:
     begin, end = position[[0, -1]].tolist()
     for place, fill in ((begin, "white"), (end, look["color"])):
         axes.plot(*place, marker, color=look["color"], markerfacecolor=fill, markersize=7, zorder=4)
-    axes.annotate(str(vehicle.vehicle_id), begin, xytext=(5, 5), textcoords="offset points", fontsize=SIZE, zorder=5)
+    box = {"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
+    where: dict[str, Any] = {
+        "xytext": (5, 5),
+        "textcoords": "offset points",
+        "fontsize": SIZE,
+        "zorder": 5,
+        "bbox": box,
+    }
+    axes.annotate(str(vehicle.vehicle_id), begin, **where)
+
+
+def _reference_enu_m(vehicle: VehicleLog) -> Floats:
+    """East and north (n, 2) of the reference that it led in formation; NaN at other times."""
+    led = in_formation(vehicle) & (vehicle.ticks.role == Role.LEADER)
+    return np.where(led[:, None], vehicle.ticks.reference_enu_m[:, :2], np.nan)
+
+
+def _draw_references(axes: Axes, flight: FlightRecords) -> None:
+    """What the formation followed: a dotted line, with a cross at its end. A reference at rest is the cross alone."""
+    ends: list[tuple[float, Floats]] = []
+    for vehicle in flight.vehicles:
+        reference_m = _reference_enu_m(vehicle)
+        known = np.flatnonzero(~np.isnan(reference_m[:, 0]))
+        if known.size:
+            axes.plot(*reference_m[:: max(1, len(reference_m) // POINTS)].T, label="_", **REFERENCE)
+            ends.append((float(vehicle.ticks.time_s[known[-1]]), reference_m[known[-1]]))
+    if ends:
+        _, end_m = max(ends, key=lambda end: end[0])
+        axes.plot(*end_m, "+", color=SOFT, markersize=10, markeredgewidth=1.8, zorder=5)
+        axes.plot([], [], label="reference", marker="+", markeredgecolor=SOFT, **REFERENCE)
 
 
 def _draw_nearest(axes: Axes, flight: FlightRecords, pairs: Sequence[PairDistance]) -> None:
@@ -159,7 +195,7 @@ def _draw_graph(axes: Axes, flight: FlightRecords, ids: list[int], share: Floats
             props = arrow | {"linewidth": 0.4 + 1.8 * share[row, column]}
             axes.annotate("", xy=places[own], xytext=places[other], arrowprops=props)
     for vehicle in flight.vehicles:
-        leads = bool(np.any(in_formation(vehicle) & (vehicle.ticks.role == "leader")))
+        leads = bool(np.any(in_formation(vehicle) & (vehicle.ticks.role == Role.LEADER)))
         place, colour = places[vehicle.vehicle_id], vehicle_look(vehicle.vehicle_id)["color"]
         ring: dict[str, Any] = {"markersize": 15, "markerfacecolor": "white", "markeredgewidth": 1.6, "clip_on": False}
         axes.plot(*place, "s" if leads else "o", color=colour, **ring)

@@ -1,14 +1,32 @@
-"""One palette: a vehicle has the same colour in the report, in figures of sitl and on the live page."""
+"""The look of the figures: one palette, marks that can be read, and axes that show what matters."""
 
 from __future__ import annotations
 
 import re
+from datetime import UTC
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import companion.monitor
-from companion.report.plotting import COLOURS, STYLES, curve_look, marked_look, vehicle_look
+from companion.report.curve_figures import draw_errors
+from companion.report.plotting import (
+    COLOURS,
+    STYLES,
+    TimeAxis,
+    curve_look,
+    dress_time,
+    finish,
+    mark_labels,
+    marked_look,
+    new_figure,
+    vehicle_look,
+)
+from companion.report.track_figures import draw_tracks
+from made_flights import flight_of, records_of
 
 PAGE = Path(companion.monitor.__file__).parent / "page"
 THEME = PAGE / "css" / "theme.css"
@@ -45,3 +63,71 @@ def test_a_vehicle_has_one_look_whatever_else_is_drawn() -> None:
 def test_28_curves_differ_without_a_legend() -> None:
     looks = {(curve_look(i)["color"], STYLES.index(curve_look(i)["linestyle"])) for i in range(28)}
     assert len(looks) == 28
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """The figures that were saved."""
+    figures: list[Figure] = []
+    save = Figure.savefig
+
+    def keep(figure: Figure, *args: object, **more: object) -> None:
+        figures.append(figure)
+        save(figure, *args, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    return figures
+
+
+@pytest.mark.parametrize("left_in", [0.62, 2.0])
+def test_numbers_of_findings_do_not_overlap(left_in: float) -> None:
+    """Twenty findings, the first ones less than a second apart."""
+    marks = tuple((5.0 + 0.12 * n**2.2, str(n + 1)) for n in range(20))
+    figure = new_figure(1.0)
+    axes = figure.subplots()
+    dress_time([axes], TimeAxis(100.0, 1_764_000_000.0, UTC, marks))
+    finish(figure, [axes], left_in)
+    figure.savefig("/dev/null", format="svg")
+    boxes = sorted((text.get_window_extent() for text in axes.texts), key=lambda box: box.x0)
+    assert len(boxes) > 5
+    assert all(left.x1 + 2.0 < right.x0 for left, right in pairwise(boxes))
+
+
+def test_findings_of_one_moment_share_a_label_with_ranges() -> None:
+    marks = [(10.0, "2"), (10.1, "3"), (10.2, "12"), (10.0, "4"), (60.0, "1"), (60.1, "5")]
+    assert [label for _, label in mark_labels(marks, 20.0)] == ["2–4,12", "1,5"]
+    assert [round(time_s, 6) for time_s, _ in mark_labels(marks, 20.0)] == [10.1, 60.05]
+    assert [label for _, label in mark_labels(marks, 0.01)] == ["2,4", "3", "12", "1", "5"]
+
+
+def test_the_axis_of_errors_is_that_of_the_formation(drawn: list[Figure]) -> None:
+    """The errors of climb and landing are of metres; a tenth of one must not be a flat line."""
+    flight = flight_of(records_of(3, 30.0))
+    errors_m = {
+        one.vehicle_id: np.where(one.ticks.phase == "formation", 0.1 * one.vehicle_id, 7.0) for one in flight.vehicles
+    }
+    draw_errors(flight, errors_m, TimeAxis(flight.ends_s, None, UTC))
+    assert drawn[0].axes[0].get_ylim() == pytest.approx((0.0, 1.05 * 0.3))
+
+
+def test_errors_without_a_formation_have_an_axis_of_their_own(drawn: list[Figure]) -> None:
+    flight = flight_of(records_of(1, 30.0))
+    errors_m = {1: np.where(flight.vehicles[0].ticks.phase == "formation", np.nan, 7.0)}
+    draw_errors(flight, errors_m, TimeAxis(flight.ends_s, None, UTC))
+    assert drawn[0].axes[0].get_ylim()[1] > 7.0
+
+
+def test_the_tracks_show_the_reference_in_formation(drawn: list[Figure]) -> None:
+    flight = flight_of(records_of(2, 40.0))
+    draw_tracks(flight, [])
+    [axes] = drawn[0].axes
+    assert "reference" in [text.get_text() for text in drawn[0].legends[0].get_texts()]
+    [line] = [line for line in axes.lines if line.get_label() == "_" and np.size(line.get_xdata()) > 100]
+    reference_m = np.column_stack(line.get_data())
+    known = reference_m[~np.isnan(reference_m[:, 0])]
+    # A circle of 10 m about (0, 10), of which 22 s of 60 s are flown.
+    assert np.hypot(known[:, 0], known[:, 1] - 10.0) == pytest.approx(10.0, abs=1e-6)
+    assert known[0] == pytest.approx((0.0, 0.0), abs=0.1)
+    assert known[-1] == pytest.approx(
+        (10.0 * np.sin(2.2 * np.pi / 3.0), 10.0 - 10.0 * np.cos(2.2 * np.pi / 3.0)), abs=0.1
+    )
