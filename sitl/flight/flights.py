@@ -153,7 +153,8 @@ def _warnings(coupling: Coupling, margin_s: float, model: LinearModel) -> list[N
     if (damping := coupling.damping) < BADLY_DAMPED:
         warnings.append(Notice(Code.BADLY_DAMPED, f"swings before it settles, damping {damping:.2f} of 1"))
     if margin_s < SMALL_DELAY_MARGIN_S:
-        warnings.append(Notice(Code.SMALL_DELAY_MARGIN, f"unstable from a loop delay of {margin_s:.3f} s on"))
+        text = f"unstable from a loop delay of {margin_s:.3f} s on; this flight has {model.delay_s:.3f} s"
+        warnings.append(Notice(Code.SMALL_DELAY_MARGIN, text))
     gain = string_gains(coupling, model)
     if gain and gain.to_last > GROWS:
         warnings.append(Notice(Code.ERRORS_GROW, f"swings grow up to {gain.to_last:.2f} times to the rear"))

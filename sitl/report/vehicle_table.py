@@ -5,33 +5,38 @@ A flag that is normal in a vehicle's phase is not remarkable. Status, recordings
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from math import inf
 from typing import NamedTuple
 
 from companion.ground.answers import id_list
 from companion.ground.fleet_state import ReportedVehicle
-from companion.types.flight import FLAG_TEXTS, WITHOUT_LEADER, FlightPhase
+from companion.types.flight import FLAG_TEXTS, HELD, STREAMING, WITHOUT_LEADER, FlightPhase
 from companion.types.flight import HealthFlag as F
 
 HEAD = "  vehicle  role      phase      altitude  error to slot  PrC  data"
 LONGEST_AGE_S = 1e5  # above: no data has come yet
-NEEDS_A_LEADER = (FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE)
-UNTIL_DATA = {F.FRAME_UNKNOWN, F.POSITION_STALE, F.ATTITUDE_STALE, F.MODE_STALE, F.ARMED_STALE, F.LANDED_STALE}
+UNTIL_DATA = {
+    *(F.FRAME_UNKNOWN, F.POSITION_STALE, F.ATTITUDE_STALE, F.MODE_STALE, F.ARMED_STALE, F.LANDED_STALE),
+    *(F.ESTIMATOR_BAD, F.POSE_LOST),  # without GPS an autopilot has no position before its first poses
+}
 FIRST_DATA_WITHIN_S = 5.0  # of an agent that has started on the ground
-LEADER_WITHIN_S = 2.0  # of the end of the climb: vehicles that climb are no neighbours
+LEADER_WITHIN_S = 2.0  # of a hold that begins: vehicles that climb are no neighbours, nor are all that are released
 
 
 class Stay(NamedTuple):
-    """The phase of a vehicle, the one before it, and when it was first seen there."""
+    """The phase of a vehicle, when it was first seen there, and what was remarkable at the last look."""
 
-    phase: FlightPhase
-    before: FlightPhase | None
+    phase: FlightPhase | None
     since_s: float
+    remarked: Set[F]
+
+
+NOT_SEEN = Stay(None, 0.0, frozenset())
 
 
 class VehicleTable:
-    """Remembers how long each vehicle has been in its phase."""
+    """Remembers how long each vehicle has been in its phase, and with which flags."""
 
     def __init__(self) -> None:
         self._stays: dict[int, Stay] = {}
@@ -52,21 +57,30 @@ class VehicleTable:
         return [HEAD, *map(row, shown), *remarks]
 
     def _remarkable(self, vehicle: ReportedVehicle, now_s: float) -> set[F]:
-        phase, last = vehicle.status.phase, self._stays.get(vehicle.vehicle_id)
-        if last is None or last.phase is not phase:
-            last = self._stays[vehicle.vehicle_id] = Stay(phase, last.phase if last else None, now_s)
-        armed = vehicle.status.autopilot.armed
-        return {flag for flag in vehicle.flags if now_s - last.since_s >= _normal_for_s(flag, last, armed)}
+        phase, last = vehicle.status.phase, self._stays.get(vehicle.vehicle_id, NOT_SEEN)
+        since_s = last.since_s if last.phase is phase else now_s
+        normal_s = {flag: _normal_for_s(flag, phase, vehicle.status.autopilot.armed) for flag in vehicle.flags}
+        found = {
+            flag
+            for flag, seconds in normal_s.items()
+            if now_s - since_s >= seconds or (seconds < inf and last.remarked & _alike(flag))
+        }
+        self._stays[vehicle.vehicle_id] = Stay(phase, since_s, found)
+        return found
 
 
-def _normal_for_s(flag: F, stay: Stay, armed: bool) -> float:
+def _alike(flag: F) -> Set[F]:
+    """The flag, with the one that it follows or is followed by."""
+    return WITHOUT_LEADER if flag in WITHOUT_LEADER else {flag}
+
+
+def _normal_for_s(flag: F, phase: FlightPhase, armed: bool) -> float:
     """For how long from the beginning of its phase a vehicle may have this flag without any fault."""
     if flag in WITHOUT_LEADER:
-        if stay.phase not in NEEDS_A_LEADER:
-            return inf
-        climbed = stay.phase is FlightPhase.HOLD and stay.before not in NEEDS_A_LEADER
-        return LEADER_WITHIN_S if climbed else 0.0
-    starts = stay.phase is FlightPhase.OBSERVE and not armed
+        if phase in HELD:
+            return LEADER_WITHIN_S
+        return 0.0 if phase in STREAMING else inf
+    starts = phase is FlightPhase.OBSERVE and not armed
     return FIRST_DATA_WITHIN_S if starts and flag in UNTIL_DATA else 0.0
 
 

@@ -57,6 +57,12 @@ def test_the_warnings_are_those_of_analyze() -> None:
     assert check_convergence(load_scenario(SCENARIOS / "four_in_line.yaml")) == []
 
 
+def test_a_small_delay_margin_is_told_beside_the_delay_of_this_flight() -> None:
+    found = check_convergence(load_scenario(PLATOON, ["fleet.law.parameters.velocity_gain_1_s=0.4"]))
+    texts = [notice.text for notice in found if notice.code is Code.SMALL_DELAY_MARGIN]
+    assert texts == ["unstable from a loop delay of 0.071 s on; this flight has 0.041 s"]
+
+
 @pytest.mark.parametrize("velocity_1_s", [0.05, 0.2, 1.0])
 def test_the_criterion_is_that_of_analyze(velocity_1_s: float, tmp_path: Path) -> None:
     scenario = load_scenario(PLATOON, [f"fleet.law.parameters.velocity_gain_1_s={velocity_1_s}"])

@@ -24,11 +24,12 @@ def remarks(table: VehicleTable, of: ReportedVehicle, now_s: float) -> list[str]
 
 
 def test_the_first_seconds_of_an_agent_on_the_ground_are_without_remark() -> None:
-    table, starts = VehicleTable(), vehicle(P.OBSERVE, F.FRAME_UNKNOWN, F.POSITION_STALE, armed=False)
+    table, starts = VehicleTable(), vehicle(P.OBSERVE, F.FRAME_UNKNOWN, F.POSITION_STALE, F.POSE_LOST, armed=False)
     assert remarks(table, starts, 10.0) == []
     assert remarks(table, starts, 14.9) == []
     assert remarks(table, starts, 15.0) == [
         "  ! FRAME_UNKNOWN, vehicle 1: the autopilot's origin is unknown",
+        "  ! POSE_LOST, vehicle 1: no good motion-capture pose",
         "  ! POSITION_STALE, vehicle 1: position older than allowed",
     ]
 
@@ -52,8 +53,19 @@ def test_a_climbing_vehicle_needs_no_leader_and_finds_it_soon_after() -> None:
 
 def test_a_leader_lost_in_formation_is_remarkable_at_once_also_in_the_hold_after_it() -> None:
     table = VehicleTable()
-    for phase, now_s in ((P.FORMATION, 10.0), (P.RELEASE, 11.0), (P.HOLD, 12.0)):
-        assert len(remarks(table, vehicle(phase, F.LEADER_LOST), now_s)) == 1
+    lost = ((P.FORMATION, F.LEADER_AWAITED), (P.RELEASE, F.LEADER_LOST), (P.HOLD, F.LEADER_LOST))
+    for now_s, (phase, flag) in enumerate(lost):
+        assert len(remarks(table, vehicle(phase, flag), float(now_s))) == 1
+    assert remarks(table, vehicle(P.LAND, F.LEADER_LOST), 3.0) == []
+
+
+@pytest.mark.parametrize("flag", [F.LEADER_AWAITED, F.LEADER_LOST])
+def test_a_fleet_that_holds_on_command_soon_has_its_leader_again(flag: HealthFlag) -> None:
+    table = VehicleTable()
+    assert remarks(table, vehicle(P.FORMATION), 10.0) == []
+    assert remarks(table, vehicle(P.RELEASE, flag), 11.0) == []
+    assert remarks(table, vehicle(P.HOLD, flag), 11.5) == []
+    assert len(remarks(table, vehicle(P.HOLD, flag), 13.5)) == 1
 
 
 def test_a_row_of_the_table_fits_eighty_columns() -> None:
