@@ -1,6 +1,6 @@
 """What is shown while a command works: the live view of a flight, and the share done of a long computation.
 
-Lines are refreshed in place on a terminal and printed at intervals elsewhere.
+Lines are refreshed in place on a terminal; elsewhere one is printed at intervals.
 """
 
 from __future__ import annotations
@@ -52,10 +52,14 @@ class FlightProgress(AbstractContextManager["FlightProgress"]):
 
     def show(self, vehicles: Sequence[ReportedVehicle], now_s: float) -> None:
         """Refresh the view."""
-        size = self._screen.size
-        remark = wrap(f"  {self._remark}", size.width if size else sys.maxsize, subsequent_indent="  ")
-        room = size.height - len(remark) - 2 if size else None  # the headline, and the line of the cursor
-        self._screen.show([self._headline(now_s), *remark, *self._table.lines(vehicles, now_s, room)])
+        head, size = self._headline(now_s), self._screen.size
+        if size is None:
+            words, *flags = self._table.brief(vehicles, now_s)
+            self._screen.show(["   ".join(filter(None, (head, words, self._remark))), *flags])
+            return
+        remark = wrap(f"  {self._remark}", size.width, subsequent_indent="  ")
+        room = size.height - len(remark) - 2  # the headline, and the line of the cursor
+        self._screen.show([head, *remark, *self._table.lines(vehicles, now_s, room)])
 
     def _headline(self, now_s: float) -> str:
         total = f" of {self._step_lasts_s:g}" if self._step_lasts_s else ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 from msgspec import Struct
@@ -16,8 +17,10 @@ from companion.types.status import Status
 from companion.wire.messages import Percentiles
 from sitl.report.metrics import TrackSource
 
+T = TypeVar("T")
+
 SCHEMA = 1
-MAX_EACH = 8  # vehicles whose figures are printed in one line
+MAX_EACH = 8  # vehicles or pairs whose figures are printed in one line
 
 
 class TickFigures(Struct, frozen=True, kw_only=True):
@@ -109,8 +112,8 @@ def in_words(summary: RunSummary) -> str:
         lines.append("  positions         as estimated by the vehicles; their true errors are unknown")
     pairs = summary.pairs
     if pairs:
-        largest = "   ".join(f"{pair} {summary.max_distance_m[pair]:.2f} m" for pair in pairs)
-        wanted = "/".join(sorted({f"{summary.wanted_distance_m[pair]:.2f}" for pair in pairs}))
+        largest = _each({pair: summary.max_distance_m[pair] for pair in pairs}, "", digits=2)
+        wanted = "/".join(dict.fromkeys(f"{m:.2f}" for m in sorted(summary.wanted_distance_m[pair] for pair in pairs)))
         lines.append(f"  largest distance  {largest}   (wanted {wanted} m)")
     if summary.smallest_distance_m is not None:
         lines.append(f"  smallest distance {summary.smallest_distance_m:.2f} m, of any two in the whole flight")
@@ -191,12 +194,12 @@ def _answers_in_words(summary: RunSummary) -> list[str]:
     return [f"  commands          {len(answered_s)} given, answered by all within {max(in_time_s):.2f} s{missing}"]
 
 
-def _each(values_m: Mapping[int, float]) -> str:
-    """All values if they fit into a line, else the largest."""
+def _each(values_m: Mapping[T, float], whose: str = "vehicle ", digits: int = 3) -> str:
+    """All values by vehicle or pair if they fit into a line, else the largest."""
     if len(values_m) <= MAX_EACH:
-        return "   ".join(f"{i} {value_m:.3f} m" for i, value_m in values_m.items())
+        return "   ".join(f"{i} {value_m:.{digits}f} m" for i, value_m in values_m.items())
     worst = max(values_m, key=lambda i: values_m[i])
-    return f"at most {values_m[worst]:.3f} m, vehicle {worst}"
+    return f"at most {values_m[worst]:.{digits}f} m, {whose}{worst}"
 
 
 def _ticks_in_words(summary: RunSummary) -> list[str]:

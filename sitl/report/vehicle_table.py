@@ -1,11 +1,12 @@
-"""The vehicles of a flight on a console of 80 columns: a row each, and below them what is remarkable.
+"""The vehicles of a flight on a console of 80 columns: a row each, and below them what is remarkable. In a file, a line of all.
 
 A flag that is normal in a vehicle's phase is not remarkable. Status, recordings and events have every flag.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections import Counter
+from collections.abc import Mapping, Sequence, Set
 from math import inf
 from typing import NamedTuple
 
@@ -43,18 +44,21 @@ class VehicleTable:
 
     def lines(self, vehicles: Sequence[ReportedVehicle], now_s: float, room: int | None = None) -> list[str]:
         """At most `room` lines; vehicles with flags, and silent ones, are the last to be left out."""
-        flags = {vehicle.vehicle_id: self._remarkable(vehicle, now_s) for vehicle in vehicles}
-        remarks = [
-            f"  ! {flag}, {id_list(ids)}: {FLAG_TEXTS[flag]}"
-            for flag in sorted(set().union(*flags.values()))
-            if (ids := [i for i, of_vehicle in flags.items() if flag in of_vehicle])
-        ]
+        flags = self._flags(vehicles, now_s)
+        remarks = _remarks(flags)
         shown = list(vehicles)
         if room is not None and len(vehicles) > (rows := max(0, room - len(remarks) - 2)):
             first = sorted(vehicles, key=lambda vehicle: not (vehicle.silent or flags[vehicle.vehicle_id]))[:rows]
             shown = [vehicle for vehicle in vehicles if vehicle in first]
             remarks.insert(0, f"  and {len(vehicles) - rows} more vehicles; a taller window shows them")
         return [HEAD, *map(row, shown), *remarks]
+
+    def brief(self, vehicles: Sequence[ReportedVehicle], now_s: float) -> list[str]:
+        """What they do in a few words, then a line for each remarkable flag: for a file, where nothing is shown in place."""
+        return [_in_words(vehicles), *_remarks(self._flags(vehicles, now_s))]
+
+    def _flags(self, vehicles: Sequence[ReportedVehicle], now_s: float) -> dict[int, set[F]]:
+        return {vehicle.vehicle_id: self._remarkable(vehicle, now_s) for vehicle in vehicles}
 
     def _remarkable(self, vehicle: ReportedVehicle, now_s: float) -> set[F]:
         phase, last = vehicle.status.phase, self._stays.get(vehicle.vehicle_id, NOT_SEEN)
@@ -67,6 +71,27 @@ class VehicleTable:
         }
         self._stays[vehicle.vehicle_id] = Stay(phase, since_s, found)
         return found
+
+
+def _remarks(flags: Mapping[int, Set[F]]) -> list[str]:
+    return [
+        f"  ! {flag}, {id_list(ids)}: {FLAG_TEXTS[flag]}"
+        for flag in sorted(set().union(*flags.values()))
+        if (ids := [i for i, of_vehicle in flags.items() if flag in of_vehicle])
+    ]
+
+
+def _in_words(vehicles: Sequence[ReportedVehicle]) -> str:
+    """The phases, with the largest error of those whose law flies; then who is silent."""
+    phases = Counter(vehicle.status.phase for vehicle in vehicles if not vehicle.silent)
+    parts = [f"all {phase}" if count == len(vehicles) else f"{count} {phase}" for phase, count in phases.items()]
+    errors_m = {v.vehicle_id: v.error_to_slot_m for v in vehicles if v.status.phase in STREAMING and v.error_to_slot_m}
+    if errors_m:
+        worst = max(errors_m, key=lambda i: errors_m[i])
+        parts.append(f"at most {errors_m[worst]:.2f} m from the slot (vehicle {worst})")
+    if silent := [vehicle.vehicle_id for vehicle in vehicles if vehicle.silent]:
+        parts.append(f"SILENT: {id_list(silent)}")
+    return ", ".join(parts)
 
 
 def _alike(flag: F) -> Set[F]:

@@ -237,7 +237,7 @@ def test_progress_is_plain_lines_without_a_terminal(flight: DirectedFlight) -> N
     text = flight.shown.getvalue()
     assert "\x1b" not in text
     assert "pair   step 1 of 2, prepare" in text
-    assert "  1        leader    arm" in text
+    assert text.splitlines()[-1].endswith("all arm")
 
 
 def test_missing_data_have_no_age(flight: DirectedFlight) -> None:

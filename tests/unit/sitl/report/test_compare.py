@@ -96,6 +96,14 @@ def test_the_smallest_error_is_reported_when_the_reference_moves(first_within_s:
     assert "settled to 10 cm" not in rows
 
 
+def test_a_long_chain_has_its_largest_distance_in_a_line_and_wanted_ones_by_size() -> None:
+    pairs = {f"{i}-{i + 1}": 10.0 if i == 3 else 2.0 for i in range(1, 16)}
+    flown = msgspec.structs.replace(
+        summary("weighted", 1.78, 26.1), pairs=list(pairs), wanted_distance_m=pairs, max_distance_m=pairs
+    )
+    assert "  largest distance  at most 10.00 m, 3-4   (wanted 2.00/10.00 m)" in in_words(flown).splitlines()
+
+
 @pytest.mark.parametrize(("factor", "times"), [(153.4, "153"), (4.23, "4.2"), (0.034, "0.034")])
 def test_virtual_time_may_be_slower_than_real_time(factor: float, times: str) -> None:
     flown = msgspec.structs.replace(summary("weighted", 1.78, 26.1), real_time_factor=factor)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from common import with_fields
@@ -86,3 +88,14 @@ def test_a_small_screen_keeps_the_vehicles_with_flags() -> None:
         "  and 23 more vehicles; a taller window shows them",
         "  ! BATTERY_LOW, vehicle 30: battery below leave_below_percent",
     ]
+
+
+def test_a_file_gets_one_line_of_all_vehicles_and_their_flags() -> None:
+    vehicles = [vehicle(P.FORMATION, vehicle_id=1), vehicle(P.HOLD, F.BATTERY_LOW, vehicle_id=2)]
+    silent = replace(vehicle(P.HOLD, vehicle_id=3), silent=True)
+    assert VehicleTable().brief([replace(vehicles[0], error_to_slot_m=0.126), vehicles[1], silent], 10.0) == [
+        "1 formation, 1 hold, at most 0.13 m from the slot (vehicle 1), SILENT: vehicle 3",
+        "  ! BATTERY_LOW, vehicle 2: battery below leave_below_percent",
+    ]
+    assert VehicleTable().brief(vehicles[:1], 10.0) == ["all formation"]
+    assert VehicleTable().brief([], 10.0) == [""]
