@@ -144,15 +144,11 @@ def test_the_laboratory(fly: Callable[..., RealFlight], kind: AutopilotKind) -> 
     assert flight.landed() == list(IDS)
 
 
-def test_a_vehicle_lands_whose_body_is_lost_and_the_others_fly_on(
-    fly: Callable[..., RealFlight], kind: AutopilotKind
-) -> None:
-    lost = "stand_in.capture_faults=[{kind: lost, vehicle: 4, at_s: 60, for_s: 100}]"
+def test_a_lost_body_ends_the_flight_and_all_land(fly: Callable[..., RealFlight], kind: AutopilotKind) -> None:
+    lost = "stand_in.capture_faults=[{kind: lost, vehicle: 4, at_s: 75, for_s: 60}]"
     flight = fly("lab_platoon", kind, lost, "timeline[3].for_s=100")
     code, printed, summary = flight.end()
-    assert code == 0, printed
-    log = (flight.folder / "agent_4.log").read_text("utf-8")
-    assert "POSE_LOST" in log and "-> land" in log
+    assert code == 1 and "vehicle 4 left phase formation: POSE_LOST" in printed
     assert summary.smallest_distance_m is not None and summary.smallest_distance_m > LABORATORY_M[kind]
     assert flight.landed() == list(IDS)
 
