@@ -66,7 +66,7 @@ def table(results: list[list[Fuzzed] | list[Outcome]], seed: int) -> str:
     lines = [
         "# Hostile input: results",
         "",
-        f"Written by `make hostile`, seed {seed}. [Safety](safety.md#hostile-input) explains it.",
+        f"Written by `make hostile`, seed {seed}. [Wrong messages](wrong-messages.md) explains it.",
         "",
         "| decoder | inputs | decoded | CPU time per input | failures |",
         "|---|---|---|---|---|",

@@ -308,7 +308,7 @@ def _towards(a: Vector3, b: Vector3, share: float) -> Vector3:
 
 
 def counted_m(one_enu_m: Vector3, other_enu_m: Vector3) -> float:
-    """Distance of two vehicles in flight as `docs/safety.md` states it: a metre of height counts half."""
+    """Distance of two vehicles in flight as `docs/separation.md` states it: a metre of height counts half."""
     (x, y, z), (px, py, pz) = one_enu_m, other_enu_m
     return hypot(x - px, y - py, 0.5 * (z - pz))
 

@@ -259,7 +259,7 @@ BY_THEN_S = 3.0  # in formation; the autopilots' own hold has let them drift tog
 @pytest.mark.long
 @pytest.mark.parametrize(("gust_sd_m_s", "least"), [(2.0, 1.05), (3.0, 0.95)])
 def test_a_turning_formation_keeps_its_distances_in_gusts(gust_sd_m_s: float, least: float) -> None:
-    """The limit in docs/safety.md is 2 m/s: slots at 1.3 of separation_m, slow motors, 6 m/s of wind with gusts of 1 s."""
+    """The limit in docs/separation.md is 2 m/s: slots at 1.3 of separation_m, slow motors, 6 m/s of wind with gusts of 1 s."""
     wind = f"stand_in.wind={{mean_enu_m_s: [6, 0, 0], gust_sd_m_s: {gust_sd_m_s}, gust_time_s: 1}}"
     flight = flown("ring_figure_8", *TURNING_IN_GUSTS, f"fleet.separation_m={SPACING_M / 1.3:.3f}", wind)
     times_s = np.arange(flight.formation.start_s + BY_THEN_S, flight.formation.end_s, 0.02)
