@@ -45,6 +45,9 @@ def _run_paper(options: argparse.Namespace) -> int:
       claims.json      the same claims with the numbers behind them, versions, and the time taken
       *.png            the figures
 
+    Ctrl-C keeps the claims and flights that are finished, and writes the page of them, marked incomplete. A second Ctrl-C stops
+    at once and writes nothing.
+
     exit codes:
       0    written; a claim that does not hold is a result, not a failure
       1    a flight that a figure needs had no formation, or a process ended before its flights did; one line says which

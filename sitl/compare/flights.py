@@ -12,7 +12,6 @@ from msgspec.structs import replace
 
 from companion.analysis.interaction import FloatArray
 from companion.config.fleet import EdgeNeighbours
-from companion.ground.fleet_state import ReportedVehicle
 from companion.types.flight import Role
 from sitl.autopilots.types import hover_thrust_norm
 from sitl.batch.agents import commanded_m_s2
@@ -22,9 +21,8 @@ from sitl.compare.figures import NOTHING, Figures, FlownFormation, failed, figur
 from sitl.compare.plan import CellFlight
 from sitl.flight.files import ids_of
 from sitl.flight.scenario import Scenario, reference_of
-from sitl.flight.virtual_flight import Flown, fly_without_landing
+from sitl.flight.virtual_flight import TAKE_OFF_S, Flown, JobProgress, fly_without_landing
 from sitl.report.metrics import SAMPLE_S, reference_positions_m
-from sitl.report.progress import FlightProgress
 from sitl.workers import report_progress
 
 # A sample takes some 50 bytes while its figures are computed, a pair of vehicles some 500 bytes in flight with bad links:
@@ -37,7 +35,6 @@ MIN_COLUMNS = 1000
 CHUNKS = 16
 AGENTS_COST = 50.0  # work of a vehicle-second of an agent, relative to one of a batch, for progress
 CONNECTED_EVERY = 5  # samples
-TAKE_OFF_S, LOOKS = 12.0, 50  # of agents, before the law begins; ticks from one progress to the next
 CUT_SHORT_S = 0.5  # a formation that ends so much before its time was left
 
 
@@ -158,26 +155,10 @@ def _leads(scenario: Scenario) -> BoolArray:
     return np.array([roles[i] is Role.LEADER for i in ids_of(scenario)], dtype=np.bool_)
 
 
-class _JobProgress(FlightProgress):
-    """Reports the share of a flight that is flown, and shows nothing."""
-
-    def __init__(self, lasts_s: float) -> None:
-        super().__init__("", quiet=True, began_s=0.0)
-        self._lasts_s, self._looks = lasts_s, 0
-
-    def is_due(self) -> bool:
-        self._looks += 1
-        return self._looks % LOOKS == 0
-
-    def show(self, vehicles: Sequence[ReportedVehicle], now_s: float) -> None:
-        del vehicles
-        report_progress(min(now_s / self._lasts_s, 1.0))
-
-
 def fly_by_agents(flight: CellFlight, seconds: float) -> Figures:
     """One flight of the agents that fly real vehicles. Without figures where they never formed, or left the formation."""
     scenario = flight.scenario
-    flown = fly_without_landing(scenario, _JobProgress(TAKE_OFF_S + seconds))
+    flown = fly_without_landing(scenario, JobProgress(TAKE_OFF_S + seconds))
     formation = flown.watch.formations[0] if flown.watch.formations else None
     if formation is None or formation.end_s - formation.start_s < seconds - CUT_SHORT_S:
         return NOTHING

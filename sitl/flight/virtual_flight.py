@@ -9,6 +9,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from companion.ground.fleet_state import ReportedVehicle
 from sitl.flight.director import Director, MovingTargets
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.orders import FlightFailure, Refusal
@@ -18,7 +19,10 @@ from sitl.flight.watch import FlightWatch, watch_of
 from sitl.report.metrics import Track
 from sitl.report.progress import FlightProgress
 from sitl.stopping import StopRequest
+from sitl.workers import report_progress
 
+TAKE_OFF_S, LANDING_S = 12.0, 5.0  # as long as they usually take, with all that is before the law begins
+LOOKS = 50  # ticks from one progress of a job to the next
 OBJECTS = 50_000  # net allocations before a collection; with the default of 700 it takes an eighth of the time
 
 
@@ -31,6 +35,27 @@ def collecting_seldom() -> Iterator[None]:
         yield
     finally:
         gc.set_threshold(*before)
+
+
+class JobProgress(FlightProgress):
+    """Reports the share of a flight that is flown, and shows nothing: for a flight that is one job of many."""
+
+    def __init__(self, lasts_s: float) -> None:
+        super().__init__("", quiet=True, began_s=0.0)
+        self._lasts_s, self._looks = lasts_s, 0
+
+    def is_due(self) -> bool:
+        self._looks += 1
+        return self._looks % LOOKS == 0
+
+    def show(self, vehicles: Sequence[ReportedVehicle], now_s: float) -> None:
+        del vehicles
+        report_progress(min(now_s / self._lasts_s, 1.0))
+
+
+def lasts_s(scenario: Scenario) -> float:
+    """About so long its flight takes, for progress."""
+    return TAKE_OFF_S + sum(step.for_s for step in scenario.timeline) + LANDING_S
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from companion.types.flight import Role
 from sitl.compare.shapes import is_connected
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.shipped import SHIPPED
-from sitl.flight.virtual_flight import fly_in_virtual_time
+from sitl.flight.virtual_flight import JobProgress, fly_in_virtual_time, lasts_s
 from sitl.paper.graphs import graph_of
 from sitl.report.claim import Claim
 from sitl.report.metrics import (
@@ -36,7 +36,6 @@ from sitl.report.metrics import (
     pairs_of,
     stand_at,
 )
-from sitl.report.progress import FlightProgress
 from sitl.report.summary import TopologyChange
 
 # The paper's law and both candidates for the law that it was compared with.
@@ -173,7 +172,7 @@ def _plans(seeds: range) -> Iterator[PaperPlan]:
 def fly(plan: PaperPlan) -> FlownPlan:
     """Fly the whole timeline of the plan in virtual time, including the landing. Raises ConfigError."""
     scenario = plan.scenario()
-    flown = fly_in_virtual_time(scenario, FlightProgress(plan.subject, quiet=True, began_s=0.0))
+    flown = fly_in_virtual_time(scenario, JobProgress(lasts_s(scenario)))
     return FlownPlan(
         plan=plan,
         scenario=scenario,

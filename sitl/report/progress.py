@@ -118,7 +118,7 @@ class Screen:
 
 
 SHARE_EVERY_S = 10.0
-LEAST_SHARE = 0.01  # below it the time left cannot be estimated
+MEASURED_S, MEASURED_SHARE = 5.0, 0.01  # the time left is estimated after so long, and so much of the stage
 
 
 class ShareProgress(AbstractContextManager["ShareProgress"]):
@@ -127,24 +127,33 @@ class ShareProgress(AbstractContextManager["ShareProgress"]):
     def __init__(self, quiet: bool, out: TextIO | None = None) -> None:
         self._screen = Screen(quiet, out or sys.stderr, SHARE_EVERY_S)
         self._began_s = time.monotonic()
-        self._stage, self._stage_began_s = "", self._began_s
+        self._stage = ""
+        self._first: tuple[float, float] | None = None  # when the first share of the stage was done, and which
 
     def __exit__(self, *_exception: object) -> None:
         self._screen.close()
 
     def begin(self, stage: str) -> None:
         """Shares and the time left are those of this stage from now on."""
-        self._stage, self._stage_began_s = stage, time.monotonic()
+        self._stage, self._first = stage, None
 
     def show(self, share: float, more: str = "") -> None:
         """`share` of the stage done, 0 to 1; `more` is shown beside it."""
+        now_s = time.monotonic()
+        if self._first is None and share > 0.0:
+            self._first = now_s, share
         if not self._screen.is_due():
             return
-        now_s = time.monotonic()
-        times = _duration(now_s - self._began_s)
-        if share >= LEAST_SHARE:
-            times += f", {_duration((now_s - self._stage_began_s) * (1.0 / share - 1.0))} left"
+        times = ", ".join([_duration(now_s - self._began_s), *self._left(now_s, share)])
         self._screen.show(["   ".join(filter(None, (f"{self._stage} {share:4.0%}", more, times)))])
+
+    def _left(self, now_s: float, share: float) -> list[str]:
+        """The time left, as soon as it is known. The start of the workers does not count: it takes seconds and does nothing."""
+        first_s, first = self._first or (now_s, share)
+        measured_s, done = now_s - first_s, share - first
+        if measured_s < MEASURED_S or done < MEASURED_SHARE:
+            return []
+        return [f"{_duration(measured_s * (1.0 - share) / done)} left"]
 
 
 def _duration(seconds: float) -> str:

@@ -38,11 +38,10 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 def test_share_done_and_times_are_shown_and_removed_from_a_terminal(clock: list[float]) -> None:
     screen = Terminal()
     with ShareProgress(False, screen) as progress:
-        clock.append(110.0)
         progress.begin("flying")
         clock.append(140.0)
         progress.show(0.25, "50 of 240 flights")
-    assert screen.getvalue().startswith(HIDE_CURSOR + "flying  25%   50 of 240 flights   40 s, 90 s left")
+    assert screen.getvalue().startswith(HIDE_CURSOR + "flying  25%   50 of 240 flights   40 s")
     assert screen.getvalue().endswith(ONE_UP_AND_ERASE)
 
 
@@ -52,7 +51,7 @@ def test_a_terminal_is_refreshed_in_place_five_times_a_second(clock: list[float]
         for share in range(1, 101):
             clock.append(clock[-1] + 0.0625)
             progress.show(share / 100)
-    shown = [text for text in screen.getvalue().split("\x1b[2K") if "left" in text]
+    shown = [text for text in screen.getvalue().split("\x1b[2K") if "%" in text]
     assert len(shown) == 25 + 1  # the last one again at the end
     assert screen.getvalue().count("\n") == 1
 
@@ -65,9 +64,22 @@ def test_a_line_is_printed_after_two_seconds_and_then_every_ten_without_a_termin
             clock.append(100.0 + 0.35 * share)
             progress.show(share / 100)
     lines = out.getvalue().splitlines()
-    assert lines[0] == "flying   6%   2 s, 33 s left"
+    assert lines[0] == "flying   6%   2 s"
     assert lines[1].startswith("flying  35%   12 s, ")
     assert len(lines) == 4
+
+
+def test_the_time_left_is_known_after_five_seconds_of_work_and_does_not_count_the_start(clock: list[float]) -> None:
+    """Workers need 8 s here before they work, then 1 % a second."""
+    out = io.StringIO()
+    with ShareProgress(False, out) as progress:
+        progress.begin("flying")
+        for second in range(61):
+            clock.append(100.0 + second)
+            progress.show(max(0.0, (second - 8) / 100))
+    left = [line.rpartition(", ")[2] for line in out.getvalue().splitlines() if "left" in line]
+    assert out.getvalue().splitlines()[:2] == ["flying   0%   2 s", "flying   4%   12 s"]
+    assert left == ["86 s left", "76 s left", "66 s left", "56 s left"]
 
 
 def test_what_is_over_within_two_seconds_prints_no_line_without_a_terminal(clock: list[float]) -> None:
