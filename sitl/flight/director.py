@@ -126,6 +126,9 @@ class Director:
         try:
             for number, step in enumerate(timeline, start=1):
                 self._fly_step(f"step {number} of {len(timeline)}, {step.command}", step, phases)
+        except FlightFailure as failure:
+            # An agent that ends is silent, and others lose their leader: what they report is not the cause.
+            raise FlightFailure("; ".join([*self._watch.failed_agents(), str(failure)])) from failure
         finally:
             self._watch.end_formation(self._clock.now_s())
 

@@ -12,6 +12,7 @@ from companion.ground.fleet_state import FleetState, ReportedVehicle, fold, vehi
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FormationState
+from companion.types.notices import Code
 from companion.types.status import Status
 from companion.types.values import ZERO3, Vector3
 from companion.wire.messages import StatusReport, Timing
@@ -206,6 +207,11 @@ class FlightWatch:
     def silent(self, now_s: float) -> list[int]:
         """Vehicles that reported before, but not for SILENT_S."""
         return sorted(i for (_, i), newest in self._state.vehicles.items() if now_s - newest.received_s > SILENT_S)
+
+    def failed_agents(self) -> list[str]:
+        """A line for each agent that has ended by a defect, in their order."""
+        failed = (event for event in self.events if event.code is Code.AGENT_FAILED)
+        return [f"vehicle {event.vehicle}: {event.code}: {event.event}" for event in failed]
 
     def begin_formation(self) -> float:
         """The vehicles are in formation, the leaders among them. Returns the time at which the last one entered it."""

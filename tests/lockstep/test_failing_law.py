@@ -17,6 +17,8 @@ from companion.types.autopilot import AutopilotKind
 from companion.types.flight import FlightPhase
 from lockstep_fleet import CommandedFlight
 from sitl.flight.scenario import load_scenario
+from sitl.flight.virtual_flight import fly_without_landing
+from sitl.report.progress import FlightProgress
 from tests.helpers.bad_laws import BAD_LAWS, fails_later, write_law
 
 FOUR = ROOT / "config" / "scenarios" / "four_in_line.yaml"
@@ -57,6 +59,14 @@ def test_it_ends_in_hold_and_the_others_fly_on(defect: str, tmp_path: Path) -> N
     places = stand_in.track().position_enu_m
     assert dist(places[-1], places[-100]) < 0.3
     assert {flight.newest[i].phase for i in (1, 2, 3)} == {FlightPhase.FORMATION}
+
+
+def test_the_failure_of_a_flight_begins_with_its_cause(tmp_path: Path) -> None:
+    body, text = DEFECTS["raises"]
+    path, setting = scenario_with(tmp_path, "raises", fails_later(body, west_of_m=-8.0))
+    flown = fly_without_landing(load_scenario(path, [setting]), FlightProgress("", quiet=True, began_s=0.0))
+    assert flown.failure is not None
+    assert flown.failure.startswith(f"vehicle {LAST}: AGENT_FAILED: {text}; ")
 
 
 @pytest.mark.parametrize("name", list(BAD_LAWS))
