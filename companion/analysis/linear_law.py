@@ -7,14 +7,12 @@ steps tell what it does near the formation, and `remarks` says so.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import isfinite
-from pathlib import Path
 
-from companion.config.code_file import code_error
+from companion.config.code_file import raised_in_words
 from companion.config.file import ConfigError
 from companion.laws import FormationState, Law, Neighbour, Own
 from companion.types.values import ZERO3, Vector3
@@ -94,9 +92,7 @@ class _Case:
             found += _vectors(law.publish(own, neighbours, reference), law.publishes) if law.publishes else ()
             return [(float(x), float(y), float(z)) for x, y, z in _vectors(found, len(found))]
         except Exception as error:
-            module = sys.modules.get(type(law).__module__)
-            file = Path(getattr(module, "__file__", None) or type(law).acceleration.__code__.co_filename)
-            raise ConfigError(f"law {type(law).__name__}", "", str(code_error(file, error))) from error
+            raise ConfigError(f"law {type(law).__name__}", "", raised_in_words(error)) from error
 
 
 def _vectors(found: Sequence[Vector3], count: int) -> Sequence[Vector3]:

@@ -64,7 +64,8 @@ def _run_analyze(options: argparse.Namespace) -> int:
     from companion.tools.subject import load_subject
 
     overrides = [*([law_override(options.law)] if options.law else []), *options.overrides]
-    analysis = analyse(load_subject(_file(options.file), overrides))
+    subject = load_subject(_file(options.file), overrides)
+    analysis = analyse(msgspec.structs.replace(subject, file=options.file))  # named as it was given
     if options.json:
         figures = msgspec.to_builtins(analysis) | {"verdict": msgspec.to_builtins(verdict(analysis))}
         print(json_text(figures))

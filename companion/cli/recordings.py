@@ -92,7 +92,8 @@ def _run_replay(options: argparse.Namespace) -> int:
       companion replay flights/2026-05-03 --law average_22
       companion replay flights/2026-05-03 --set fleet.law.parameters.position_gain_1_s2=0.8 --csv commands.csv
 
-    A recording has no code. Where a law or a reference is a Python file, --code names it.
+    A recording has no code. Where a law or a reference is a Python file, the file with the same content
+    beside the recording is run, as sitl run --record leaves it there; one elsewhere is named by --code.
 
     FOLDER is searched for files *.mcap, also in folders inside; a single file is possible. The replay
     of a vehicle begins with the start of its agent: without the first part of a recording it is
@@ -137,8 +138,6 @@ def _run_export(options: argparse.Namespace) -> int:
     examples:
       companion export flights/2026-05-03
       companion export flights/2026-05-03 --out tables
-
-    A recording has no code. Where a law or a reference is a Python file, --code names it.
 
     FOLDER is searched for files *.mcap, also in folders inside; a single file is possible. Columns are
     named after the fields of the recording, with units: position_east_m, late_us. Neighbours with

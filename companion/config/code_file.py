@@ -20,6 +20,7 @@ from types import ModuleType
 from typing import Any
 
 from companion.config.file import ConfigError, read_descriptor
+from companion.types.errors import CompanionError
 from companion.types.values import cut, quoted
 
 WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
@@ -169,14 +170,20 @@ def read_beside(path: Path, beside: Path) -> bytes:
 
 def code_error(file: Path, error: BaseException) -> ConfigError:
     """The line for an exception that this file has raised; it names the line of the file."""
+    return ConfigError(file, "", raised_in_words(error))
+
+
+def raised_in_words(error: BaseException) -> str:
+    """ "line 41: TypeError: ..." for an exception that the code of a file has raised; of other code without the line."""
     if isinstance(error, SyntaxError):
         line = error.lineno
     else:
         frames = walk_tb(error.__traceback__)
         lines = [line for frame, line in frames if str(frame.f_globals.get("__name__")).startswith(CODE)]
         line = lines[-1] if lines else None
-    text = cut(f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": "), LONGEST_ERROR)
-    return ConfigError(file, f"line {line}" if line else "", text)
+    name = "" if isinstance(error, CompanionError) else f"{type(error).__name__}: "
+    text = cut(f"{name}{' '.join(str(error).split())}".removesuffix(": "), LONGEST_ERROR)
+    return f"line {line}: {text}" if line else text
 
 
 def _refuse_foreign(path: Path, state: os.stat_result) -> None:

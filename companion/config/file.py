@@ -83,6 +83,10 @@ class ConfigError(UnusableError):
         more = (f"and {len(lines) - MOST_LINES} more errors",) if len(lines) > MOST_LINES else ()
         return _of_lines(lines[:MOST_LINES] + more)
 
+    def renamed(self, file: Path | str, by: str) -> ConfigError:
+        """The error with another name for a file in it, as its user wrote it."""
+        return _of_lines(tuple(line.replace(str(file), printable(by)) for line in self.lines))
+
 
 def _of_lines(lines: tuple[str, ...]) -> ConfigError:
     error = ConfigError("", "", "")

@@ -102,7 +102,7 @@ class LawSection(Section, frozen=True):
         section = replace(self, parameters=kept, **law_in_file(name))
         of_file = (f"{section.file}: ", "law.file", "law.name")
         refuse(
-            str(section.file),
+            name,
             [
                 Problem("" if at in of_file else at, text.removeprefix(of_file[0]))
                 for at, text in law_problems(section, "law")
@@ -118,7 +118,10 @@ class LawSection(Section, frozen=True):
 def law_in_file(path: str) -> dict[str, Any]:
     """Name, file and SHA-256 of a law that the user names by a path, in whatever folder. Raises ConfigError."""
     file = Path(path).resolve()
-    return LawSection.read({"name": file.stem, "file": file.name}, "law", beside=file)
+    try:
+        return LawSection.read({"name": file.stem, "file": file.name}, "law", beside=file)
+    except ConfigError as error:
+        raise error.renamed(file, path) from error
 
 
 def overridden(law: dict[str, Any]) -> dict[str, Any]:

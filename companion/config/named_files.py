@@ -53,7 +53,9 @@ def _try_law(data: Any, line: str, example: str, read: Callable[[Path, Any], T])
     try:
         read(Path(LAW), with_overrides(data, [line], example))
     except ConfigError as error:
-        raise ConfigError.of([ConfigError(LAW, "", OF_LAW.sub("", each, count=1)) for each in error.lines]) from error
+        path = line.partition("=")[2]
+        lines = error.renamed(Path(path).resolve(), path).lines
+        raise ConfigError.of([ConfigError(LAW, "", OF_LAW.sub("", each, count=1)) for each in lines]) from error
 
 
 def with_overrides(data: Any, overrides: Sequence[str], example: str) -> Any:

@@ -8,13 +8,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
+from hashlib import sha256
 from math import degrees
 from pathlib import Path
 from shlex import join
+from typing import TypeVar
 
 import msgspec
 
-from companion.config.code_file import UnreadCodeError
+from companion.config.code_file import UnreadCodeError, load_code, read_beside
 from companion.config.file import ConfigError
 from companion.recording.reader import Recording, RecordingError, recordings
 from companion.recording.records import SOFTWARE
@@ -31,6 +34,8 @@ from companion.replay.comparison import (
 from companion.types.autopilot import AttitudeTarget
 from companion.types.errors import UnusableError
 from companion.types.values import printable, printable_lines
+
+T = TypeVar("T")
 
 EXIT_EQUAL, EXIT_DIFFERENT, EXIT_UNUSABLE = 0, 1, 2
 SHOWN_EVERY = 500  # ticks
@@ -91,7 +96,7 @@ def _replay_all(options: ReplayOptions, found: Sequence[Recording]) -> int:
 
 def _replayed(folder: Path, recording: Recording, progress: Progress) -> ReplayResult:
     try:
-        return replay(recording, progress, _warn)
+        return _with_code(recording, lambda: replay(recording, progress, _warn))
     except UnreadCodeError as error:
         flown = f"it was flown with {error.file} (SHA-256 {error.sha256}), and a recording has no code"
         unusable = f"{flown}; give the same content: {join(['companion', 'replay', str(folder), '--code', error.file])}"
@@ -103,6 +108,26 @@ def _replayed(folder: Path, recording: Recording, progress: Progress) -> ReplayR
     )
 
 
+def _with_code(recording: Recording, run: Callable[[], T]) -> T:
+    """`run`, with the code beside the recording where it needs some. Raises ConfigError."""
+    while True:
+        try:
+            return run()
+        except UnreadCodeError as error:
+            if not _loaded_beside(recording.parts[0].path, error):
+                raise
+
+
+def _loaded_beside(recording: Path, wanted: UnreadCodeError) -> bool:
+    """Load the file of this name in the folder of the recording, where `sitl run --record` leaves it, if it has the content
+    that was flown. Raises ConfigError where others could have written it.
+    """
+    file = recording.parent / Path(wanted.file).name
+    if not file.is_file() or sha256(read_beside(Path(file.name), recording)).hexdigest() != wanted.sha256:
+        return False
+    return load_code(Path(file.name), recording).sha256 == wanted.sha256
+
+
 # ------------------------------------------------------------ other settings
 
 
@@ -112,7 +137,8 @@ def _compare_all(options: ReplayOptions, found: Sequence[Recording]) -> int:
         for name, recording in zip(names, found, strict=True):
             try:
                 with _shown_progress(name) as progress:
-                    results.append(compare(recording, options.overrides, row, progress, _warn))
+                    run = partial(compare, recording, options.overrides, row, progress, _warn)
+                    results.append(_with_code(recording, run))
             except ConfigError as error:
                 raise UnusableError(str(error)) from error
     if options.as_json:

@@ -9,15 +9,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from math import dist, hypot, radians
-from pathlib import Path
 from random import Random
 from statistics import median
 from types import FrameType
 
 import msgspec
 
-from companion.config.code_file import code_error
+from companion.config.code_file import raised_in_words
 from companion.config.law import LawSection, law_class, law_problems, parameter_problem
+from companion.core.consensus.law import LawError
 from companion.core.safety.safeguard import SLOW_LAW_S
 from companion.laws import FormationState, Law, Neighbour, Own
 from companion.laws._trial import MOST_BESIDE_M_S2, MOST_M_S2
@@ -64,13 +64,13 @@ def check_law(section: LawSection) -> Iterator[LawFinding]:
         ("turned", _turned),
         ("settles", _settles),
     ):
-        finding = _tried(subject, attempt, law, section.file or section.name)
+        finding = _tried(subject, attempt, law)
         yield finding
         if subject in ("any state", "time of a call") and not finding.passed:
             return  # the flights would tell the same, or take minutes
 
 
-def _tried(subject: str, attempt: Callable[[Law], tuple[bool, str]], law: Law, source: str) -> LawFinding:
+def _tried(subject: str, attempt: Callable[[Law], tuple[bool, str]], law: Law) -> LawFinding:
     try:
         with _time_limit():
             passed, found = attempt(law)
@@ -79,7 +79,10 @@ def _tried(subject: str, attempt: Callable[[Law], tuple[bool, str]], law: Law, s
             subject, False, f"not done after {LONGEST_CHECK_S:g} s; in flight the autopilot's failsafe would act"
         )
     except Exception as error:  # noqa: BLE001 -- the code of a user
-        return LawFinding(subject, False, _without(source, str(code_error(Path(source), error))))
+        raised = (
+            error.__cause__ if isinstance(error, LawError) else None
+        )  # what the law itself has raised names its line
+        return LawFinding(subject, False, raised_in_words(raised or error))
     return LawFinding(subject, passed, found)
 
 

@@ -11,15 +11,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, pairwise
 from math import inf
-from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from msgspec.structs import replace
 
 from companion.analysis.interaction import FloatArray
-from companion.config.code_file import code_error
-from companion.config.law import LawSection, law_of
+from companion.config.code_file import raised_in_words
+from companion.config.law import law_of
 from companion.core.consensus.kept_off import target
 from companion.core.consensus.law import SHORTEST_STEP_S, STEP_S, finite_vectors
 from companion.laws import FormationState, Law, Neighbour, Own
@@ -157,8 +156,7 @@ class BatchLaws:
         self._columns = columns
         self._formation: list[int] = columns.formation.tolist()
         self._ids = [sorted(member.id for member in scenario.fleet.vehicles) for scenario in scenarios]
-        self._sections = [scenario.fleet.law for scenario in scenarios]
-        laws = {b: law_of(section) for b, section in enumerate(self._sections)}
+        laws = {b: law_of(scenario.fleet.law) for b, scenario in enumerate(scenarios)}
         self.memory = max(law.memory for law in laws.values())
         self.values = max(law.publishes for law in laws.values())
         self.is_leader = is_leader(scenarios, columns)
@@ -320,16 +318,14 @@ class BatchLaws:
 
     def _fly_alone(self, kind: LawKind, error: Exception) -> None:
         kind.in_arrays = False
-        for formation in kind.laws:
-            why = code_error(_source(self._sections[formation]), error)
-            self.remarks[formation] = f"{why}; so it is flown vehicle by vehicle, which is slower"
+        text = f"{raised_in_words(error)}; so it is flown vehicle by vehicle, which is slower"
+        self.remarks |= dict.fromkeys(kind.laws, text)
 
     def _fail(self, column: int, error: Exception) -> None:
         """End a formation as an agent ends, whose law fails."""
         formation = int(self._columns.formation[column])
         vehicle = int(self._columns.order[column]) % self._columns.vehicles
-        text = f"vehicle {self._ids[formation][vehicle]}: {code_error(_source(self._sections[formation]), error)}"
-        self.failures.setdefault(formation, text)
+        self.failures.setdefault(formation, f"vehicle {self._ids[formation][vehicle]}: {raised_in_words(error)}")
         self._kind[self._columns.formation == formation] = -1
 
 
@@ -358,10 +354,6 @@ def _differing(laws: dict[int, Law], formations: int) -> dict[str, FloatArray]:
 
 def _flyable(answers: FloatArray, most: float) -> BoolArray:
     return np.asarray(np.isfinite(answers) & (np.abs(answers) <= most))
-
-
-def _source(section: LawSection) -> Path:
-    return Path(section.file or section.name)
 
 
 def _of_floats(law: Law, leads: bool, rows: FloatRows) -> tuple[Own, list[Neighbour], FormationState | None]:

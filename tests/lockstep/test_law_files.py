@@ -85,6 +85,12 @@ def test_a_recorded_flight_replays_with_its_file_alone(
     assert capsys.readouterr().out.count("all equal") == 4
     assert main(["replay", str(recordings), "--law", "cooperative"]) == 0
     assert "4 " in capsys.readouterr().out
+    monkeypatch.setattr(code_file, "LOADED", {})
+    beside = write_law(recordings, "shares", f"{SHARES}\n# changed\n")
+    assert main(["replay", str(recordings)]) == 2
+    assert "a recording has no code" in capsys.readouterr().out
+    beside.write_text(copy.read_text(encoding="utf-8"), encoding="utf-8")
+    assert main(["replay", str(recordings), "--vehicle", "2"]) == 0
 
 
 def test_a_flight_with_another_file_is_another_formation(tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ def test_a_law_flies_in_arrays_as_vehicle_by_vehicle(tmp_path: Path) -> None:
     np.testing.assert_allclose(arrays.positions_enu_m, alone.positions_enu_m, atol=1e-6)
     assert sorted(alone.remarks) == list(range(MANY))
     (remark,) = set(alone.remarks.values())
-    assert "mine.py: line 1" in remark
+    assert remark.startswith("line 1")
     assert "truth value" in remark
     assert "vehicle by vehicle" in remark
     for b in (0, MANY - 1):  # the gains do differ
@@ -100,7 +100,7 @@ def test_a_law_that_gives_something_else_for_arrays_flies_vehicle_by_vehicle(tmp
 
 @pytest.mark.parametrize(
     ("law", "reason"),
-    [(FAILS, "vehicle 2: .*mine.py: line [0-9]+: ZeroDivisionError"), (NOT_FINITE, "vehicle .: .*the law gives .*inf")],
+    [(FAILS, "vehicle 2: line [0-9]+: ZeroDivisionError"), (NOT_FINITE, "vehicle .: the law gives .*inf")],
 )
 def test_a_law_that_fails_ends_its_formation_alone(law: str, reason: str, tmp_path: Path) -> None:
     scenarios = [platoon(), *flown_by(law, tmp_path)]

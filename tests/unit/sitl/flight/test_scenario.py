@@ -58,12 +58,15 @@ def test_the_scenario_file_written_by_a_flight_loads(path: Path, tmp_path: Path)
 
 @pytest.mark.parametrize("read", [load_scenario, load_subject])
 @pytest.mark.parametrize("name", list(BAD_LAWS))
-def test_an_error_of_a_law_file_names_its_option(name: str, read: Callable[..., object], tmp_path: Path) -> None:
+def test_an_error_of_a_law_file_names_its_option_and_the_path_as_given(
+    name: str, read: Callable[..., object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = write_law(tmp_path, name, BAD_LAWS[name])
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError) as caught:
-        read(PLATOON, [law_override(str(file)), "fleet.takeoff_height_m=2.5"])
+        read(PLATOON, [law_override(file.name), "fleet.takeoff_height_m=2.5"])
     (line,) = caught.value.lines
-    assert line.startswith(f"--law: {file}: ")
+    assert line.startswith(f"--law: {file.name}: ")
 
 
 def test_an_error_beside_a_good_law_names_set() -> None:
