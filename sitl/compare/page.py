@@ -18,7 +18,7 @@ from sitl.compare.report import (
     Compared,
     conditions_by_agents,
     failures_text,
-    interval_text,
+    interval_parts,
     number_text,
     remarks_text,
     settings_text,
@@ -85,8 +85,8 @@ def _by_place(result: Compared) -> dict[str, list[PlaceRow]]:
     return found
 
 
-def _interval(one: CellSummary, name: str) -> str:
-    return interval_text(name, one.figures.get(name))
+def _interval(one: CellSummary, name: str) -> tuple[str, str]:
+    return interval_parts(name, one.figures.get(name))
 
 
 def _number(value: float | None, name: str) -> str:

@@ -25,7 +25,7 @@ SETTLE, DISTANCE = "settle_s", "smallest_distance_m"
 PANEL_IN = (4.3, 3.5)
 SOON_S = 0.5  # an earlier settling is drawn here
 NEVER_FACTOR, END_FACTOR = 1.45, 1.9  # of the duration: where unsettled flights are drawn, and the end of the axis
-MARK_SHARE = 0.7  # of the duration: a later mark would touch the word "never"
+NEVER_ROOM = 0.13  # of the length of the axis: a mark nearer to "never" would touch the word
 RC: Any = {"pdf.fonttype": 42, "font.sans-serif": ["DejaVu Sans"]}  # text stays text
 
 
@@ -259,15 +259,14 @@ def _drawn_s(value: float | None, never_s: float) -> float:
 def _time_axis(axes: Axes, along: str, seconds: float) -> None:
     """Plain numbers, and a grey strip for what never settled."""
     axis = axes.yaxis if along == "y" else axes.xaxis
-    marks = [
-        mark
-        for mark in LogLocator(10.0, subs=(1.0, 2.0, 5.0)).tick_values(SOON_S, seconds)
-        if SOON_S <= mark <= seconds * MARK_SHARE
-    ]
-    axis.set_major_locator(FixedLocator([*marks, seconds * NEVER_FACTOR]))
+    begin_s, end_s, never_s = SOON_S * 0.9, seconds * END_FACTOR, seconds * NEVER_FACTOR
+    last_s = min(seconds, never_s * (begin_s / end_s) ** NEVER_ROOM)
+    ticks_s = LogLocator(10.0, subs=(1.0, 2.0, 5.0)).tick_values(SOON_S, seconds)
+    marks = [mark_s for mark_s in ticks_s if SOON_S <= mark_s <= last_s]
+    axis.set_major_locator(FixedLocator([*marks, never_s]))
     axis.set_major_formatter(lambda value, _: "never" if value > seconds else f"{value:g}")
     axis.set_minor_locator(NullLocator())
     span = axes.axhspan if along == "y" else axes.axvspan
-    span(seconds * 1.08, seconds * END_FACTOR, color="#e6e6e6", zorder=0, linewidth=0)
+    span(seconds * 1.08, end_s, color="#e6e6e6", zorder=0, linewidth=0)
     limits = axes.set_ylim if along == "y" else axes.set_xlim
-    limits(SOON_S * 0.9, seconds * END_FACTOR)
+    limits(begin_s, end_s)

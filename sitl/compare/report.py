@@ -166,10 +166,16 @@ def _cells(one: CellSummary) -> list[str]:
 
 def interval_text(name: str, figure: MedianInterval | None) -> str:
     """ "2.2 (2.1–2.3)"."""
+    median, interval = interval_parts(name, figure)
+    return f"{median} ({interval})" if interval else median
+
+
+def interval_parts(name: str, figure: MedianInterval | None) -> tuple[str, str]:
+    """Median and interval, "2.2" and "2.1–2.3"; an interval of one value is empty."""
     if figure is None:
-        return NOTHING
+        return NOTHING, ""
     low, median, high = (number_text(name, value) for value in (figure.low, figure.median, figure.high))
-    return median if low == median == high else f"{median} ({low}–{high})"
+    return median, "" if low == median == high else f"{low}–{high}"
 
 
 def number_text(name: str, value: float | None) -> str:

@@ -3,6 +3,7 @@
 import csv
 import re
 from dataclasses import replace
+from itertools import pairwise
 from math import inf
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from sitl.compare.figures import NOTHING, Figures, FlownFormation, closest_m, fa
 from sitl.compare.flights import connected
 from sitl.compare.options import CompareOptions
 from sitl.compare.plan import Plan, law_of_text, plan_of
+from sitl.compare.plots import figures_of as drawn_figures
 from sitl.compare.report import compared, failures_text, report_text, rows_of
 from sitl.compare.statistics import FEWEST_SEEDS, FlownFlight, Winner, by_cell, checks, interval, summaries, winners
 
@@ -199,6 +201,7 @@ def test_with_random_errors_agents_agree_within_the_seeds() -> None:
 
 def test_the_folder_has_page_figures_and_rows(tmp_path: Path) -> None:
     rows = flown(weighted=figures(settle_s=None, gain_per_hop=1.2))
+    rows[1] = FlownFlight(rows[1].flight, figures(settle_s=None, gain_per_hop=1.2, rms_m=0.09))
     plan = replace(PLAN, settings=["links.peer_loss=0.05"])
     result = compared("sitl compare", plan, rows, [FlownFlight(rows[0].flight, figures(settle_s=9.0))])
     assert report_text(result, by_cell(rows)).startswith(
@@ -220,9 +223,22 @@ def test_the_folder_has_page_figures_and_rows(tmp_path: Path) -> None:
     assert "seeds 1 to 6, all with links.peer_loss=0.05." in page
     assert page.count("<svg") == 3 and "chain 4, noise" in page and "never" in page
     assert "no landing" in page, "what the batch leaves out"
+    assert "its interval of 95 % stands below it" in page and "0.050<small>0.050–0.070</small>" in page
     assert "✗" in page[page.index('id="check"') :]
     content = msgspec.json.decode((tmp_path / "compare.json").read_bytes())
     assert content["laws"] == {"weighted": None, "cooperative": None} and content["command"] == "sitl compare"
+
+
+@pytest.mark.parametrize("seconds", [20.0, 30.0, 75.0, 200.0, 500.0])
+def test_no_time_on_an_axis_touches_the_word_never(seconds: float) -> None:
+    plan = replace(PLAN, seconds=seconds)
+    rows = flown(plan)
+    figure = drawn_figures(plan, by_cell(rows), compared("sitl compare", plan, rows, []))["distance"].figure
+    figure.savefig("/dev/null", format="svg")
+    labels = [label for label in figure.axes[0].get_xticklabels() if label.get_text()]
+    assert labels[-1].get_text() == "never"
+    boxes = [label.get_window_extent() for label in labels]
+    assert all(left.x1 + 3.0 < right.x0 for left, right in pairwise(boxes))
 
 
 def test_the_text_says_what_is_missing() -> None:
