@@ -11,7 +11,7 @@ import secrets
 import signal
 import socket
 import sys
-from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -40,6 +40,7 @@ from companion.monitor.command_requests import reference_forms
 from companion.monitor.commander import Commander
 from companion.monitor.station import Station
 from companion.types.values import quoted
+from companion.types.vehicle_looks import COLOURS, DASHES, ink_on
 
 LONGEST_BODY = 64 * 1024  # bytes: a formation of 250 vehicles has 15 kB
 VIEW_ONLY = "this server shows and does not command; start it with: companion monitor --control"
@@ -176,7 +177,12 @@ TYPES = {
     ".txt": "text/plain",
 }
 PRELOADS = b"<!-- preloads -->"  # in index.html
-REFERENCE_FORMS, SHAPE_NAMES = b"[/* reference forms */]", b"[/* shapes */]"  # likewise
+REFERENCE_FORMS, SHAPE_NAMES, LOOKS = (
+    b"[/* reference forms */]",
+    b"[/* shapes */]",
+    b"[/* vehicle looks */]",
+)  # likewise
+ON_LIGHT, ON_DARK = b"/* vehicle looks on light */", b"/* vehicle looks on dark */"  # in css/theme.css
 DEEPEST_ZOOM = 24
 TILE_AGE_S = 86400
 
@@ -196,8 +202,17 @@ def page_files(folder: Path = PAGE) -> Mapping[str, PageFile]:
     bodies = {file.relative_to(folder).as_posix(): file.read_bytes() for file in files}
     index = bodies["index.html"].replace(PRELOADS, _preloads(bodies))
     index = index.replace(SHAPE_NAMES, _encoder.encode(list(SHAPES)))
+    index = index.replace(LOOKS, _encoder.encode({"colours": len(COLOURS), "dashes": DASHES}))
+    theme = bodies["css/theme.css"].replace(ON_LIGHT, _colours([one.on_light for one in COLOURS]))
+    bodies["css/theme.css"] = theme.replace(ON_DARK, _colours([one.on_dark for one in COLOURS]))
     bodies["index.html"] = index.replace(REFERENCE_FORMS, _encoder.encode(reference_forms()))
     return {path: PageFile(body, TYPES[Path(path).suffix], sha256(body).hexdigest()) for path, body in bodies.items()}
+
+
+def _colours(colours: Sequence[str]) -> bytes:
+    """The colours of the vehicles in the style sheet, each with that of text on it."""
+    lines = (f"--vehicle-{n}: {one};\n  --on-vehicle-{n}: {ink_on(one)};" for n, one in enumerate(colours, start=1))
+    return "\n  ".join(lines).encode()
 
 
 def _preloads(paths: Iterable[str]) -> bytes:

@@ -27,6 +27,7 @@ from companion.report.plotting import (
     dress_time,
     finish,
     new_figure,
+    pale,
     render,
     vehicle_look,
 )
@@ -55,7 +56,6 @@ PHASES: dict[str, tuple[str, str]] = {
 
 LEAST_MS, MOST_MS, BINS = 0.01, 1000.0, 60
 MOST_TICKS = 1e6  # more than five hours of one vehicle
-LEADER_SHADES = ("#cfe3f1", "#f6e3b4", "#9cc9a9", "#e7bcae", "#d9cfe8")
 FLAG_COUNTS, FLAG_EXPECTED = "#8c3b2a", "#d4d4d4"
 
 
@@ -96,7 +96,7 @@ def draw_leaders(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
         leader_id = int(leader)
         leads = leader_id == vehicle.vehicle_id
         label, hatch = ("leads", "//") if leads else (f"follows {leader_id}", "")
-        return Bar(interval, LEADER_SHADES[leader_id % len(LEADER_SHADES)], hatch, label) if leader_id else None
+        return Bar(interval, pale(vehicle_look(leader_id)["color"]), hatch, label) if leader_id else None
 
     rows = [_states(vehicle, np.nan_to_num(vehicle.ticks.leader_id, nan=0.0), bar) for vehicle in flight.vehicles]
     caption = "The leader as each vehicle knew it; hatched: the vehicle itself. A gap: no leader is known."

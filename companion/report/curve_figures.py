@@ -26,6 +26,7 @@ from companion.report.plotting import (
     dress_time,
     finish,
     new_figure,
+    pair_look,
     plot,
     render,
     vehicle_look,
@@ -102,12 +103,12 @@ def draw_altitude(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
 
 
 def draw_distances(flight: FlightRecords, pairs: Sequence[PairDistance], axis: TimeAxis) -> DrawnFigure:
-    """The pair that came nearest is highlighted, with what the separation filter of its vehicles required."""
+    """The pair that came nearest is thick, with what the separation filter of its vehicles required."""
     curves = []
     for index, pair in reversed(list(enumerate(pairs[:MOST_PAIRS]))):
-        label, style = f"{pair.pair[0]} - {pair.pair[1]}", curve_look(index) | {"linewidth": 1.0}
+        label, style = f"{pair.pair[0]}-{pair.pair[1]}", pair_look(pair.pair, index)
         if index == 0 and pair.judged.any():
-            label, style = f"{label}, smallest {pair.smallest_m:.2f} m", BLACK | {"linewidth": 2.2}
+            label, style = f"{label}, smallest {pair.smallest_m:.2f} m", style | {"linewidth": 2.4}
             nearest = np.array([pair.smallest_at_s]), np.array([pair.smallest_m])
             curves.append(DrawnCurve("_", *nearest, BLACK | {"marker": "o", "markersize": 6, "zorder": 5}))
         curves.append(DrawnCurve(label, pair.time_s, np.where(pair.judged, pair.distance_m, np.nan), style))
@@ -119,7 +120,7 @@ def draw_distances(flight: FlightRecords, pairs: Sequence[PairDistance], axis: T
     farther = len(pairs) - MOST_PAIRS
     caption = (
         "Pairs with both vehicles in the air, from their recorded positions. A metre of height counts half, as"
-        f" separation_m counts it. {JUDGED}"
+        f" separation_m counts it. Each pair has the colours of its vehicles. {JUDGED}"
         + (f" {farther} pairs that stayed farther apart are left out." if farther > 0 else "")
     )
     panel = CurvePanel("distance [m]", curves, limits, low=0.0)
@@ -181,7 +182,7 @@ def draw_weights(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure | None:
         CurvePanel(
             f"w of {one.vehicle_id} [-]",
             [
-                DrawnCurve(f"of neighbour {other}", one.ticks.time_s, use.weight, vehicle_look(other))
+                DrawnCurve(f"of vehicle {other}", one.ticks.time_s, use.weight, vehicle_look(other))
                 for other, use in one.ticks.neighbours.items()
             ],
             low=-0.05,

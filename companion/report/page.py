@@ -152,7 +152,7 @@ def settings_rows(fleet: FleetConfig) -> list[tuple[str, str]]:
     envelope, law = fleet.envelope, fleet.law
     neighbours = fleet.neighbours
     if isinstance(neighbours, EdgeNeighbours):
-        edges = ", ".join(f"{a} - {b}" for a, b in neighbours.edges[:MOST_EDGES])
+        edges = ", ".join(f"{a}-{b}" for a, b in neighbours.edges[:MOST_EDGES])
         topology = f"edges {edges}" + (" and more" if len(neighbours.edges) > MOST_EDGES else "")
     else:
         topology = f"within {neighbours.range_m:g} m, hysteresis {neighbours.hysteresis_m:g} m"

@@ -1,8 +1,8 @@
 """The look of every figure of the report and of sitl: one palette, readable in grey and for the colour-blind.
 
-A vehicle has the colour, line style and marker of its id in all figures; the live page has the same palette
-(`companion/monitor/page/css/theme.css`). Helpers for title, units and legend come first, then the figures of the report's
-page, which share one time axis and are drawn into the page itself.
+A vehicle has the colour, line style and marker of its id in all figures, and on the live page (`vehicle_looks.py`); a pair
+has the colours of its two vehicles. Helpers for title, units and legend come first, then the figures of the report's page,
+which share one time axis and are drawn into the page itself.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFo
 
 from companion.geometry.airspace import Obstacle
 from companion.report.flight import Floats
+from companion.types import vehicle_looks
 
-# The colour-blind safe palette of Okabe and Ito. 28 curves differ in colour or style.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#E69F00", "#56B4E9")
-STYLES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (5, 1.5, 1, 1.5)), (0, (2, 1.2)))
+COLOURS = tuple(colour.on_light for colour in vehicle_looks.COLOURS)
+STYLES: tuple[Any, ...] = tuple((0, dash) if dash else "-" for dash in vehicle_looks.DASHES)
+PAIR_STYLES = ((0, (6, 6)), (0, (3, 3)), (0, (9, 4)), (0, (4, 9)))  # first colour, second colour
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 GREY, SOFT, GRID = "#808080", "#444444", "#dddddd"
 LIMIT: dict[str, Any] = {"color": "#a3201d", "linewidth": 1.2, "linestyle": (0, (4, 2)), "zorder": 3}
@@ -44,6 +45,12 @@ MARKERS_PER_CURVE = 12
 DPI = 130
 
 
+def pale(colour: str) -> str:
+    """A tint of a colour #RRGGBB on which black text is read."""
+    parts = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return "#" + "".join(f"{round(255 - 0.35 * (255 - part)):02x}" for part in parts)
+
+
 def curve_look(index: int) -> dict[str, Any]:
     """Style of one of several curves."""
     return {"color": COLOURS[index % len(COLOURS)], "linestyle": STYLES[index % len(STYLES)], "linewidth": 1.4}
@@ -52,6 +59,33 @@ def curve_look(index: int) -> dict[str, Any]:
 def vehicle_look(vehicle_id: int) -> dict[str, Any]:
     """Style of the curve of a vehicle, the same in every figure."""
     return curve_look(vehicle_id - 1)
+
+
+def pair_look(pair: tuple[int, int], index: int) -> dict[str, Any]:
+    """Style of a curve of two vehicles: dashes in the colour of the one, gaps in that of the other."""
+    first, second = (vehicle_look(vehicle_id)["color"] for vehicle_id in pair)
+    return {
+        "color": first,
+        "gapcolor": second,
+        "linestyle": PAIR_STYLES[index % len(PAIR_STYLES)],
+        "linewidth": 1.4,
+        "dash_capstyle": "butt",
+    }
+
+
+def marked_pair_look(pair: tuple[int, int], index: int, samples: int) -> dict[str, Any]:
+    """As `pair_look`, with markers in both colours; those of different curves are at different times."""
+    look, every = pair_look(pair, index), max(1, samples // MARKERS_PER_CURVE)
+    return look | {
+        "marker": MARKERS[index % len(MARKERS)],
+        "markersize": 6.5,
+        "fillstyle": "left",
+        "markerfacecolor": look["color"],
+        "markerfacecoloralt": look["gapcolor"],
+        "markeredgecolor": "white",
+        "markeredgewidth": 0.8,
+        "markevery": (index * every // 4 % every, every),
+    }
 
 
 def marker_look(index: int) -> dict[str, Any]:

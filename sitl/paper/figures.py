@@ -20,6 +20,7 @@ from companion.report.plotting import (
     dress_plan,
     label_once,
     marked_look,
+    marked_pair_look,
     put_legend_below,
     put_legend_beside,
     titled_figure,
@@ -143,7 +144,7 @@ def save_figure_8(path: Path, book: Book) -> None:
         for index, pair in enumerate(flight.pairs):
             distance_m = distances_m(flight.tracks, pair, times_s)
             label = f"{pair_name(pair)}, largest {distance_m[inside].max():.2f} m"
-            axes.plot(times_s, distance_m, label=label, **marked_look(index, times_s.size))
+            axes.plot(times_s, distance_m, label=label, **marked_pair_look(pair, index, times_s.size))
         desired_m = entry.figures.wanted_distance_m[pair_name(flight.pairs[0])]
         axes.axhline(desired_m, **GUIDE, label=f"desired, {desired_m:.2f} m")
         _shade(axes, flight, times_s)

@@ -14,7 +14,16 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from companion.analysis.interaction import FloatArray
-from companion.report.plotting import DPI, GUIDE, SOFT, dress, marked_look, put_legend_beside, titled_figure
+from companion.report.plotting import (
+    DPI,
+    GUIDE,
+    SOFT,
+    dress,
+    marked_look,
+    marked_pair_look,
+    put_legend_beside,
+    titled_figure,
+)
 from sitl.report.metrics import (
     Formation,
     FormationFlight,
@@ -131,7 +140,7 @@ def draw_distances(axes: Axes, flight: FormationFlight) -> None:
         axes.plot([], [], color="#b0b0b0", linewidth=0.6, label=f"{len(others_m)} other pairs")
     for index, (pair, range_m) in enumerate(shown.items()):
         label = f"{pair_name(pair)}, {range_m}"
-        axes.plot(since_s, curves_m[pair], label=label, **marked_look(index, times_s.size))
+        axes.plot(since_s, curves_m[pair], label=label, **marked_pair_look(pair, index, times_s.size))
     if not flight.pairs:
         axes.text(0.5, 0.5, "one vehicle has no inter-distance", transform=axes.transAxes, ha="center")
     wanted_m = sorted({round(float(distances_m(flight.slots, pair, times_s[-1:])[0]), 3) for pair in flight.pairs})

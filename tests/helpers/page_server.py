@@ -8,14 +8,12 @@ import time
 from collections import deque
 from collections.abc import Callable
 from math import ceil, cos, dist, pi, radians, sin, sqrt
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import msgspec
 from aiohttp import WSMsgType, web
 from msgspec import structs
 
-import companion.monitor
 from companion.geometry.curves import figure_8
 from companion.geometry.formations import SHAPES
 from companion.geometry.formations import slots_of as shape_slots
@@ -44,7 +42,7 @@ from companion.monitor.api import (
     TimingView,
     VehicleView,
 )
-from companion.monitor.server import page_files
+from companion.monitor.server import page_file, page_files
 from companion.types.status import NetworkState
 from companion.types.values import Vector3
 
@@ -194,7 +192,7 @@ def fleet_file(count: int, name: str = "ring") -> FleetFileView:
     )
 
 
-PAGE = Path(companion.monitor.__file__).parent / "page"
+FILES = page_files()
 TOKEN = "a-token-of-this-test"  # until a test changes that of its server
 POLICY = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'"
 Kind = Literal["event", "phase", "command", "answer", "alarm"]
@@ -308,7 +306,6 @@ class PageServer:
         app = web.Application(middlewares=[_policy])
         app.add_routes(
             [
-                web.get("/", _index),
                 web.get("/api/v1/live", self._live),
                 web.get("/api/v1/history", self._history),
                 web.get("/api/v1/fleets/{name}", self._fleet),
@@ -316,7 +313,7 @@ class PageServer:
                 web.post("/api/v1/commands", self._command),
                 web.post("/api/v1/preview", self._preview),
                 web.post("/api/v1/alarms/{id}/acknowledge", self._acknowledge),
-                web.static("/", PAGE),
+                web.get("/{path:.*}", _page_file),
             ]
         )
         runner = web.AppRunner(app, shutdown_timeout=0.1)
@@ -426,8 +423,8 @@ async def _policy(request: web.Request, handler: Callable[[web.Request], object]
     return response
 
 
-async def _index(_: web.Request) -> web.Response:
-    return web.Response(body=page_files()["index.html"].body, content_type="text/html")
+async def _page_file(request: web.Request) -> web.StreamResponse:
+    return await page_file(request, FILES)
 
 
 def _json(value: object, status: int = 200) -> web.Response:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 from msgspec.structs import replace
 
+from companion.types.vehicle_looks import COLOURS
 from page_server import PageServer, until_shown
 
 expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missing").expect
@@ -26,8 +27,10 @@ def test_the_theme_follows_the_system_and_is_remembered(open_page: OpenPage) -> 
         page = open_page(server.url, color_scheme="dark")
         theme = "document.documentElement.dataset.theme"
         assert page.evaluate(theme) == "dark"
+        assert_in_their_colours(page, [colour.on_dark for colour in COLOURS])
         page.get_by_role("button", name="Theme: system").click()
         assert page.evaluate(theme) == "light"
+        assert_in_their_colours(page, [colour.on_light for colour in COLOURS])
         page.reload()
         until_shown(page, "globalThis.companionMetrics?.count > 0")
         expect(page.get_by_role("button", name="Theme: light")).to_be_visible()
@@ -35,6 +38,15 @@ def test_the_theme_follows_the_system_and_is_remembered(open_page: OpenPage) -> 
         page.emulate_media(color_scheme="light")
         page.get_by_role("button", name="Theme: light").click()
         assert page.evaluate(theme) == "dark"
+
+
+def assert_in_their_colours(page: Page, colours: list[str]) -> None:
+    """Symbols of the list and lines of the plots, of the first four vehicles."""
+    for n, colour in enumerate(colours[:4]):
+        red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+        symbol = page.locator(f"tbody.vehicle[data-id='{n + 1}'] .symbol path")
+        expect(symbol).to_have_css("stroke", f"rgb({red}, {green}, {blue})")
+        expect(page.locator(".plot-key line").nth(n)).to_have_attribute("stroke", colour)
 
 
 @pytest.mark.parametrize(("width", "height"), SIZES)

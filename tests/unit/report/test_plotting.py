@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import re
 from datetime import UTC
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-import companion.monitor
+from companion.monitor.server import PAGE, page_files
 from companion.report.curve_figures import draw_errors
 from companion.report.plotting import (
     COLOURS,
@@ -22,35 +22,53 @@ from companion.report.plotting import (
     finish,
     mark_labels,
     marked_look,
+    marked_pair_look,
     new_figure,
     vehicle_look,
 )
 from companion.report.track_figures import draw_tracks
+from companion.types import vehicle_looks
+from companion.types.vehicle_looks import contrast
 from made_flights import flight_of, records_of
 
-PAGE = Path(companion.monitor.__file__).parent / "page"
-THEME = PAGE / "css" / "theme.css"
-SERIES = PAGE / "js" / "views" / "plot_series.js"
+LIGHT, DARK = page_files()["css/theme.css"].body.decode().split("[data-theme=")
+SENT = re.search(r'id="vehicle-looks">(.*?)</script>', page_files()["index.html"].body.decode())
 
 
-def test_the_light_page_has_the_palette_of_the_figures() -> None:
-    light, _, _ = THEME.read_text(encoding="utf-8").partition("[data-theme=")
-    assert tuple(re.findall(r"--vehicle-\d: (#\w{6});", light)) == tuple(colour.lower() for colour in COLOURS)
+def of_vehicles(style: str, of: str = "") -> list[str]:
+    return re.findall(rf"--{of}vehicle-\d: (#\w{{6}});", style)
 
 
-@pytest.mark.parametrize("name", ["const COLOURS = 7;", "colours[`vehicle-${((id - 1) % COLOURS) + 1}`]"])
-def test_the_page_chooses_the_colour_by_the_id(name: str) -> None:
-    assert len(COLOURS) == 7
-    assert name in SERIES.read_text(encoding="utf-8")
+def test_the_page_is_served_the_looks_of_the_figures() -> None:
+    assert of_vehicles(LIGHT) == list(COLOURS) == [vehicle_look(n)["color"] for n in range(1, 8)]
+    assert of_vehicles(DARK) == [colour.on_dark for colour in vehicle_looks.COLOURS]
+    assert SENT
+    sent = json.loads(SENT[1])
+    assert sent["colours"] == len(COLOURS)
+    assert [(0, tuple(dash)) if dash else "-" for dash in sent["dashes"]] == list(STYLES)
 
 
-def test_the_dark_page_has_a_colour_for_each_of_them_that_is_bright() -> None:
-    _, _, dark = THEME.read_text(encoding="utf-8").partition("[data-theme=")
-    found = re.findall(r"--vehicle-\d: #(\w{6});", dark)
-    assert len(found) == len(set(found)) == len(COLOURS)
-    for colour in found:
-        red, green, blue = (int(colour[i : i + 2], 16) for i in (0, 2, 4))
-        assert 0.2126 * red + 0.7152 * green + 0.0722 * blue > 130.0, colour
+@pytest.mark.parametrize(("style", "map_colour"), [(LIGHT, "#f7f9fa"), (DARK, "#0e1318")])
+def test_vehicles_are_seen_on_the_map_and_their_numbers_on_them(style: str, map_colour: str) -> None:
+    assert f"--map: {map_colour};" in style
+    least = {"#f7f9fa": 2.0, "#0e1318": 4.5}[map_colour]  # a symbol has its number, and a shape of 20 pixels
+    assert min(contrast(colour, map_colour) for colour in of_vehicles(style)) > least
+    on = zip(of_vehicles(style), of_vehicles(style, "on-"), strict=True)
+    assert min(contrast(colour, ink) for colour, ink in on) > 4.5
+
+
+def test_no_colour_of_a_vehicle_stands_in_a_file_of_its_own() -> None:
+    for file in sorted(
+        path for path in PAGE.rglob("*.*") if path.suffix in (".js", ".css") and "vendor" not in path.parts
+    ):
+        text = file.read_text(encoding="utf-8").lower()
+        assert not [colour for colour in COLOURS if colour in text], file.name
+
+
+def test_a_pair_has_the_colours_of_its_vehicles() -> None:
+    look = marked_pair_look((2, 4), 0, 100)
+    assert (look["color"], look["gapcolor"]) == (vehicle_look(2)["color"], vehicle_look(4)["color"])
+    assert (look["markerfacecolor"], look["markerfacecoloralt"]) == (look["color"], look["gapcolor"])
 
 
 def test_a_vehicle_has_one_look_whatever_else_is_drawn() -> None:

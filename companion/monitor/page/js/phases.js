@@ -1,4 +1,4 @@
-/** Flight phases on the map and in the list. Each group has its own shape, so that it is read without colour as well. */
+/** Flight phases on the map and in the list. Each group has its own shape; the colour is that of the vehicle. */
 
 const SQUARE = "M-9-9H9V9H-9Z";
 const TRIANGLE_UP = "M0-13L13 9H-13Z";

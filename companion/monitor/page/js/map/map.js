@@ -98,7 +98,7 @@ export class FleetMap {
     const vehicles = [...shown.values()];
     const separationM = store.file?.separation_m ?? null;
     const bands = trailBands(vehicles.length);
-    for (const vehicle of vehicles) drawTrail(pen, store.trails.of(vehicle), store.snapshot.time_s, bands);
+    for (const vehicle of vehicles) drawTrail(pen, vehicle.vehicle_id, store.trails.of(vehicle), store.snapshot.time_s, bands);
     drawEdges(pen, shown);
     for (const vehicle of vehicles) drawSlot(pen, vehicle);
     if (separationM !== null) for (const vehicle of vehicles) drawSafetyDistance(pen, vehicle, separationM);

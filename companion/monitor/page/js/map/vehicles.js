@@ -1,7 +1,8 @@
-/** The vehicles on the map: symbol by phase, heading by velocity, leader, selection, safety distance, silence. */
+/** The vehicles on the map: symbol by phase in the vehicle's colour, heading by velocity, leader, selection, safety distance, silence. */
 
 import { FLYING, groupOf } from "../phases.js";
 import { age, metres } from "../format.js";
+import { colourOf } from "../vehicle_look.js";
 
 const SHAPES = new Map();
 const MOVES_M_S = 0.15; // slower ones have no heading
@@ -59,17 +60,17 @@ export function trailBands(vehicleCount) {
 }
 
 /** Paler where it is older. `bands`: trailBands(...). */
-export function drawTrail(pen, trail, nowS, bands) {
+export function drawTrail(pen, id, trail, nowS, bands) {
   for (const [fromS, toS, alpha] of bands) {
     const points = trail.filter(({ timeS }) => nowS - timeS <= fromS + 0.6 && nowS - timeS >= toS - 0.6);
-    if (points.length > 1) pen.line(points.map(({ position }) => position), { colour: "accent", width: 1.4, alpha });
+    if (points.length > 1) pen.line(points.map(({ position }) => position), { colour: colourOf(id), width: 1.4, alpha });
   }
 }
 
 function drawSymbol(pen, vehicle, x, y) {
   const group = groupOf(vehicle.phase);
   const { context, colours } = pen;
-  const colour = colours[vehicle.silent ? "critical" : `phase-${group.name}`];
+  const colour = colours[vehicle.silent ? "critical" : colourOf(vehicle.vehicle_id)];
   const filled = group.filled && !vehicle.silent;
   context.save();
   context.translate(x, y);
@@ -84,7 +85,7 @@ function drawSymbol(pen, vehicle, x, y) {
     pen.pixels([[x - 12, y - 12], [x + 12, y + 12]], { colour: "critical", width: 2 });
     pen.pixels([[x - 12, y + 12], [x + 12, y - 12]], { colour: "critical", width: 2 });
   }
-  const ink = filled ? "on-phase" : "text";
+  const ink = filled ? `on-${colourOf(vehicle.vehicle_id)}` : "text";
   pen.text(String(vehicle.vehicle_id), x, y + 0.5, { colour: ink, size: 12, weight: 700, bare: !vehicle.silent });
 }
 

@@ -18,7 +18,7 @@ export function mapTools(map) {
 export function legend() {
   return html`<details><summary>Symbols</summary><ul>
     ${GROUPS.map((group) => html`<li>${symbol(SAMPLE_PHASE[group.name])} ${group.text}</li>`)}
-    <li>${symbol("ready", true)} silent, where it last was</li>
+    <li>${symbol("ready", { silent: true })} silent, where it last was</li>
     <li><span class="key">★</span> leader, with a ring</li>
     <li><span class="key">◇</span> slot</li>
     <li><span class="key">→</span> where it will be in 1 s</li>

@@ -1,20 +1,17 @@
 /** Which lines the plots have: every vehicle of a small fleet; of a large one its range, median, and the selected vehicles. */
 
+import { colourOf, dashOf } from "../vehicle_look.js";
+
 const SMALL_FLEET = 8;
-const DASHES = [[], [7, 3], [9, 3, 2, 3], [2, 2]]; // so that lines differ without colour, too
-const COLOURS = 7; // --vehicle-1 and so on; a vehicle has the colour and the dashes of its id, as in all figures
 const SHARES = { smallest: 0, median: 0.5, largest: 1 };
 
 /** {label, stroke, width, dash, id or share} of each line. */
 export function seriesFor(store, colours) {
   const ids = store.vehicles.map((vehicle) => vehicle.vehicle_id);
-  const line = (id) => ({
-    label: String(id),
-    id,
-    stroke: colours[`vehicle-${((id - 1) % COLOURS) + 1}`],
-    width: store.selected.has(id) ? 3 : 1.5,
-    dash: DASHES[(id - 1) % DASHES.length],
-  });
+  const line = (id) => {
+    const width = store.selected.has(id) ? 3 : 1.5;
+    return { label: String(id), id, stroke: colours[colourOf(id)], width, dash: dashOf(id, width) };
+  };
   if (ids.length <= SMALL_FLEET) return ids.map(line);
   const shares = Object.entries(SHARES).map(([label, share]) => ({
     label,

@@ -1,10 +1,12 @@
-/** The symbol of a phase, as on the map. */
+/** The symbol of a phase in the colour of a vehicle, as on the map; without an id in that of text. */
 
 import { groupOf } from "../phases.js";
+import { colourOf } from "../vehicle_look.js";
 import { html } from "./lit.js";
 
-export function symbol(phase, silent = false) {
+export function symbol(phase, { id = null, silent = false } = {}) {
   const group = groupOf(phase);
-  return html`<svg class="symbol ${silent ? "silent" : group.name} ${group.filled ? "filled" : "hollow"}"
-    viewBox="-15 -15 30 30" width="18" height="18" aria-hidden="true"><path d=${group.shape}></path></svg>`;
+  const colour = `var(--${id === null ? "text" : colourOf(id)})`;
+  return html`<svg class="symbol ${silent ? "silent" : ""} ${group.filled ? "filled" : "hollow"}"
+    viewBox="-15 -15 30 30" width="18" height="18" aria-hidden="true"><path d=${group.shape} fill=${colour} stroke=${colour}></path></svg>`;
 }
