@@ -147,7 +147,7 @@ def _average_fails(book: Book) -> Claim:
     def result(model: Model) -> str:
         entry = flown["average_26", model]
         apart_m = entry.figures.final_distance_m
-        where = f"at the end {apart_m['1-2']:.1f} m from UAV 2 and {apart_m['1-3']:.1f} m from UAV 3"
+        where = f"at the end {apart_m['1-2']:.1f} m from vehicle 2 and {apart_m['1-3']:.1f} m from vehicle 3"
         alone = left_s["average_26", model]
         return f"leader {'never finally alone' if alone == inf else f'alone from {alone:.2f} s on'}; {where}"
 
@@ -241,7 +241,7 @@ def _comparison_text(better: dict[LawName, bool], kept: dict[tuple[LawName, Mode
 
 def _fewest_text(entry: FlownPlan) -> str:
     found = fewest_in_range(entry.flight, LEADER, range_m(entry))
-    return f"UAV {join_words(str(i) for i in found)}" if found else "none"
+    return f"vehicle{'s' if len(found) > 1 else ''} {join_words(str(i) for i in found)}" if found else "none"
 
 
 def _one_average_law(book: Book) -> Claim:

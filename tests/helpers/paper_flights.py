@@ -60,7 +60,7 @@ HIGH: Peaks = (0.30, 0.20, 0.15)
 
 
 def platoon(peaks_m: Peaks = LOW, settled_s: float = 6.0) -> dict[int, FloatArray]:
-    """UAV 1 moves 1 m in the first second. Each distance grows by its peak, and is as desired after `settled_s`."""
+    """Vehicle 1 moves 1 m in the first second. Each distance grows by its peak, and is as desired after `settled_s`."""
     since_s = TIMES_S - START_S
     x_m, paths_m = np.clip(since_s, 0.0, 1.0), {}
     for i, peak_m in enumerate((*peaks_m, 0.0), start=1):
@@ -116,7 +116,7 @@ def path(from_m: FloatArray, to_m: FloatArray, done: FloatArray) -> FloatArray:
 
 
 def aggregation(leader: FloatArray, followers: FloatArray, aside_2_m: float = 0.0) -> Paths:
-    """Share of the distance of each vehicle (n,); UAV 2 is `aside_2_m` to the west from 2 s to 4 s."""
+    """Share of the distance of each vehicle (n,); vehicle 2 is `aside_2_m` to the west from 2 s to 4 s."""
     scenario = scenario_of(FlightSubject.AGGREGATION)
     goal_m, paths_m = np.array(reference_of(scenario)(0.0).position_enu_m), {}
     for member in scenario.fleet.vehicles:

@@ -172,7 +172,7 @@ def test_the_leader_changes_on_the_ground_and_in_hold() -> None:
 
 
 def test_an_agent_restarted_in_flight_does_not_become_leader_again() -> None:
-    """UAV 1 is leader by its file. While its agent restarts, UAV 2 is leader, and stays leader."""
+    """Vehicle 1 is leader by its file. While its agent restarts, vehicle 2 is leader, and stays leader."""
     scenario = load_scenario(RING)
     lockstep, watch = Lockstep(scenario), Recorder(scenario)
     director = director_of(lockstep, watch)

@@ -49,7 +49,7 @@ def test_following_the_8_holds() -> None:
         rings(topology=reports(LED[:2])),  # the lead changes but once
         rings(topology=reports([(1, START_S)])),
         rings(topology=reports([(1, START_S), (3, START_S + 20.0), (1, START_S + 35.0)])),
-        rings(failure="UAV 3 has failed"),
+        rings(failure="vehicle 3 has failed"),
     ],
     ids=[
         "frozen",
@@ -84,7 +84,7 @@ def test_weights_that_never_change_fail(claim_id: str) -> None:
     [
         (reports(prcs_late_s=0.5), FAILS, HOLDS),  # late, but right in the end
         (reports([(1, START_S)]), FAILS, FAILS),  # without a leader change
-        (reports([(1, START_S), (3, START_S + 20.0)]), FAILS, FAILS),  # the paper prints nothing for UAV 3
+        (reports([(1, START_S), (3, START_S + 20.0)]), FAILS, FAILS),  # the paper prints nothing for vehicle 3
     ],
 )
 def test_weights_are_checked_in_each_leadership(
