@@ -175,14 +175,15 @@ def code_error(file: Path, error: BaseException) -> ConfigError:
 
 def raised_in_words(error: BaseException) -> str:
     """ "line 41: TypeError: ..." for an exception that the code of a file has raised; of other code without the line."""
+    said = str(error)
     if isinstance(error, SyntaxError):
-        line = error.lineno
+        line, said = error.lineno, error.msg  # str() has file and line again
     else:
         frames = walk_tb(error.__traceback__)
         lines = [line for frame, line in frames if str(frame.f_globals.get("__name__")).startswith(CODE)]
         line = lines[-1] if lines else None
     name = "" if isinstance(error, CompanionError) else f"{type(error).__name__}: "
-    text = cut(f"{name}{' '.join(str(error).split())}".removesuffix(": "), LONGEST_ERROR)
+    text = cut(f"{name}{' '.join(said.split())}".removesuffix(": "), LONGEST_ERROR)
     return f"line {line}: {text}" if line else text
 
 

@@ -79,7 +79,7 @@ def check_file(path: Path, parameters: dict[str, Parameter] | None = None) -> li
         section = LawSection(**law_in_file(str(path)), parameters=parameters or {})
         law_class(section)
     except ConfigError as error:
-        return [LawFinding("code", False, str(error))]
+        return [LawFinding("code", False, str(error).removeprefix(f"{path}: "))]
     return [LawFinding("code", True, "computes and does nothing else, as far as it can be read"), *check_law(section)]
 
 

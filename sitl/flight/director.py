@@ -128,7 +128,9 @@ class Director:
                 self._fly_step(f"step {number} of {len(timeline)}, {step.command}", step, phases)
         except FlightFailure as failure:
             # An agent that ends is silent, and others lose their leader: what they report is not the cause.
-            raise FlightFailure("; ".join([*self._watch.failed_agents(), str(failure)])) from failure
+            ended = [one for one in self._watch.failed_agents() if one.event not in str(failure)]
+            causes = [f"vehicle {one.vehicle}: {one.code}: {one.event}" for one in ended]
+            raise FlightFailure("; ".join([*causes, str(failure)])) from failure
         finally:
             self._watch.end_formation(self._clock.now_s())
 

@@ -208,10 +208,9 @@ class FlightWatch:
         """Vehicles that reported before, but not for SILENT_S."""
         return sorted(i for (_, i), newest in self._state.vehicles.items() if now_s - newest.received_s > SILENT_S)
 
-    def failed_agents(self) -> list[str]:
-        """A line for each agent that has ended by a defect, in their order."""
-        failed = (event for event in self.events if event.code is Code.AGENT_FAILED)
-        return [f"vehicle {event.vehicle}: {event.code}: {event.event}" for event in failed]
+    def failed_agents(self) -> list[ReportedEvent]:
+        """What agents that ended by a defect reported last, in their order."""
+        return [event for event in self.events if event.code is Code.AGENT_FAILED]
 
     def begin_formation(self) -> float:
         """The vehicles are in formation, the leaders among them. Returns the time at which the last one entered it."""

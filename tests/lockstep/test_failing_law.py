@@ -62,11 +62,14 @@ def test_it_ends_in_hold_and_the_others_fly_on(defect: str, tmp_path: Path) -> N
 
 
 def test_the_failure_of_a_flight_begins_with_its_cause(tmp_path: Path) -> None:
+    """Vehicle 2 fails, and leaves those behind it without a leader."""
     body, text = DEFECTS["raises"]
-    path, setting = scenario_with(tmp_path, "raises", fails_later(body, west_of_m=-8.0))
+    law = fails_later(f"if own.slot_enu_m[0] > -4.0: {body}", west_of_m=-2.0)
+    path, setting = scenario_with(tmp_path, "raises", law)
     flown = fly_without_landing(load_scenario(path, [setting]), FlightProgress("", quiet=True, began_s=0.0))
     assert flown.failure is not None
-    assert flown.failure.startswith(f"vehicle {LAST}: AGENT_FAILED: {text}; ")
+    assert flown.failure.startswith(f"vehicle 2: AGENT_FAILED: {text}; vehicle 3 left phase formation: LEADER_LOST: ")
+    assert flown.failure.count(text) == 1
 
 
 @pytest.mark.parametrize("name", list(BAD_LAWS))

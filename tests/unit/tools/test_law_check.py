@@ -42,7 +42,7 @@ SUBTLE = {
         "        e = [a - b for a, b in zip(own.velocity_enu_m_s, reference.velocity_enu_m_s)]\n"
         "        return (x + 4.0 * e[0], y + 4.0 * e[1], z + 4.0 * e[2])\n"
     ),
-    "time of a call": law("        sum(range(400000))\n" + FLOWN),
+    "time of a call": law("        sum(range(800000))\n" + FLOWN),
 }
 
 
