@@ -12,7 +12,7 @@ from companion.config.file import ConfigError, refuse
 from companion.config.fleet import EdgeNeighbours, FleetConfig
 from companion.config.law import law_of
 from companion.config.reference import Reference, TargetReference, commanded
-from companion.config.reference_check import most_pace, reference_checks
+from companion.config.reference_check import accepted_values, most_pace, reference_checks
 from companion.config.validation import Problem, needs, without_pauses
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
@@ -290,9 +290,10 @@ def _references(fleet: FleetConfig, first: Reference, drag_1_s: float) -> Refere
         airspace=_beyond_box(fleet),
     )
 
-    def read(described: Described, slots_enu_m: Mapping[int, Vector3]) -> Steps[Rft]:
-        """RFT of a command, after the checks of the vehicle file. Raises ValueError."""
-        problems = []
+    def read(described: Described, slots_enu_m: Mapping[int, Vector3]) -> Steps[Rft | Notice]:
+        """RFT of a command, after the checks of the vehicle file, or the refusal."""
+        problems: list[Problem] = []
+        accepts: tuple[tuple[str, float], ...] = ()
         try:
             reference = commanded(COMMANDED, {"reference": described})
             yield
@@ -301,9 +302,10 @@ def _references(fleet: FleetConfig, first: Reference, drag_1_s: float) -> Refere
                     yield
                 else:
                     problems.append(problem)
+            accepts = accepted_values(reference, problems)
             refuse(COMMANDED, problems)
         except ConfigError as error:
-            raise ValueError(" ".join(str(error).split())[:LONGEST_REASON]) from error
+            return Notice(Code.REFERENCE_INVALID, " ".join(str(error).split())[:LONGEST_REASON], accepts)
         return rft_of(reference)
 
     def refusal_of_slots(described: Described | None, slots_enu_m: Mapping[int, Vector3]) -> Steps[str | None]:

@@ -12,6 +12,7 @@ from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
 from companion.config.planned_flight import neighbour_graph
 from companion.config.reference import Reference
+from companion.config.reference.base import Slower
 from companion.config.validation import Problem, needs
 from companion.geometry.formations import to_separation_metric
 from companion.laws import Law
@@ -49,11 +50,11 @@ def following_steps(
         return None
     times = yield from slower_by(refused, slots_m, fleet.separation_m)
     if times == inf:
-        field, value, advice = "kind", reference.kind, "a point: no pace of it keeps the distance"
+        slower = Slower("kind", reference.kind, "a point: no pace of it keeps the distance", ())
     else:
-        field, value, advice = reference.slower_pace(times)
-    outcome = _outcome(refused[0].pair, fleet)
-    return Problem(f"{where}.{field}", f"{value}: with {fleet.law.name} {outcome}; expected {advice}")
+        slower = reference.slower_pace(times)
+    text = f"{slower.asks}: with {fleet.law.name} {_outcome(refused[0].pair, fleet)}; expected {slower.expected}"
+    return Problem(f"{where}.{slower.key}", text, slower.accepts)
 
 
 def chains_of(fleet: FleetConfig, law: Law, slots_enu_m: Mapping[int, Vector3], drag_1_s: float) -> Iterator[Chain]:

@@ -38,6 +38,8 @@ SIMPLE_COMMANDS = {
     "land": "vertically, at the present position",
     "return": "to the takeoff position of each vehicle and down, by the autopilot's return mode",
     "disarm": "on the ground",
+}
+UNCHECKED_COMMANDS = {
     "abort": "in any phase: disarms on the ground, the autopilot's hold mode in the air",
     "take": "takes command over from another operator",
 }
@@ -73,8 +75,13 @@ def _add_fleet(parser: argparse.ArgumentParser) -> None:
     )
     _add_use(use)
     connection, vehicles = _connection_options(), _vehicle_options()
-    command = [connection, _waiting_options()]
-    for parents, summaries in (([connection, vehicles], REPORTS), ([*command, vehicles], SIMPLE_COMMANDS)):
+    waiting, check = _waiting_options(), _check_options()
+    command = [connection, waiting, check]
+    for summaries, parents in (
+        (REPORTS, [connection, vehicles]),
+        (SIMPLE_COMMANDS, [*command, vehicles]),
+        (UNCHECKED_COMMANDS, [connection, waiting, vehicles]),
+    ):
         for name, summary in summaries.items():
             actions.add_parser(name, parents=parents, help=summary, description=summary, epilog=SEE)
     summary = "sends a new admission list to the vehicles, as after companion provision revoke"
@@ -166,6 +173,7 @@ def fleet_request(parsed: argparse.Namespace) -> FleetRequest:
         operator=parsed.operator or "",
         wait_s=parsed.wait_s,
         as_json=parsed.json,
+        check=getattr(parsed, "check", False),
         wait=getattr(parsed, "wait", False),
         timeout_s=getattr(parsed, "timeout", None),
         admission_list=parsed.file if parsed.action == "admit" else None,
@@ -205,6 +213,14 @@ def _waiting_options() -> argparse.ArgumentParser:
     return parser
 
 
+def _check_options() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument(
+        "--check", action="store_true", help="only ask what each vehicle would answer now; nothing changes"
+    )
+    return parser
+
+
 def _vehicle_options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(add_help=False)
     parser.add_argument(
@@ -237,6 +253,7 @@ examples:
   companion fleet leader 2
   companion fleet formation diamond --spacing 4 --heading 90
   companion fleet reference point --at 10 -5 4
+  companion fleet formation line --spacing 30 --check                nothing is sent but the question
   companion fleet land --fleet fleet.yaml --json | jq '.vehicles[] | select(.finished | not)'
 
 Finished is: armed; in hold after takeoff; in formation, in its slot; in hold; on the ground and
@@ -271,8 +288,13 @@ unknown, as after a restart of its agent in the air. Land the vehicles that refu
 command again after others are home, or first bring the formation back to its takeoff position.
 `hold`, `land` and `abort` end a return; `abort` not for vehicles that already descend at home.
 
+--check asks each vehicle what it would answer now, by its own checks and in its own state. Nothing
+changes: no command is taken and none becomes old. Where a vehicle knows a value that it would
+accept, it is named. arm is checked as far as its first step that is still to come.
+
 exit codes:
-  0    every vehicle accepted and finished; with status: reported; with doctor: is ready
+  0    every vehicle accepted and finished; with --check: would accept; with status: reported; with
+       doctor: is ready
   1    some vehicles refused, are missing, did not finish or are not ready
   2    the fleet file, an endpoint or an argument cannot be used; no command was sent
   130  ended by Ctrl-C

@@ -96,7 +96,7 @@ def _of_lines(lines: tuple[str, ...]) -> ConfigError:
 
 def refuse(file: Path | str, problems: Iterable[Problem]) -> None:
     """Raises ConfigError with all of the problems, if there are any."""
-    if errors := [ConfigError(file, *problem) for problem in problems]:
+    if errors := [ConfigError(file, problem.field, problem.text) for problem in problems]:
         raise ConfigError.of(errors)
 
 

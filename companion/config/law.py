@@ -105,7 +105,7 @@ class LawSection(Section, frozen=True):
             name,
             [
                 Problem("" if at in of_file else at, text.removeprefix(of_file[0]))
-                for at, text in law_problems(section, "law")
+                for at, text, _ in law_problems(section, "law")
             ],
         )
         return section

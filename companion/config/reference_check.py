@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from math import dist, floor, radians, tan
 from pathlib import Path
 
@@ -54,6 +54,15 @@ def check_reference(
 ) -> None:
     """Raises ConfigError with all `reference_problems`."""
     refuse(file, reference_problems(fleet, reference, slots_enu_m=slots_enu_m))
+
+
+def accepted_values(reference: Reference, problems: Iterable[Problem]) -> tuple[tuple[str, float], ...]:
+    """Keys of the reference with values that meet all these problems: of each key the one farthest from what it asks for."""
+    accepts: dict[str, float] = {}
+    for key, value in (one for problem in problems for one in problem.accepts):
+        asked = getattr(reference, key)
+        accepts[key] = max(accepts.get(key, asked), value, key=lambda other: abs(other - asked))
+    return tuple(accepts.items())
 
 
 def most_pace(fleet: FleetConfig) -> tuple[float, float]:
@@ -138,20 +147,21 @@ def _pace(where: str, fleet: FleetConfig, reference: Reference) -> Iterator[Prob
     speed_m_s, acceleration_m_s2 = reference.largest_pace()
     accepted_m_s, most_m_s2 = most_pace(fleet)
     for_turning = ", less what slots need that turn" if fleet.slots_turn else ""
-    found: dict[str, tuple[float, str]] = {}  # by field: how many times slower it must be, and the problem
+    found: dict[str, tuple[float, Problem]] = {}  # by field: how many times slower it must be, and the problem
     if acceleration_m_s2 > most_m_s2 * ROUNDED:
         times = (acceleration_m_s2 / most_m_s2) ** 0.5
-        field, asks, advice = reference.excess("max_acceleration_m_s2", most_m_s2, times)
+        slower = reference.excess("max_acceleration_m_s2", most_m_s2, times)
         given = f"envelope.max_tilt_deg {fleet.envelope.max_tilt_deg:g} gives {most_m_s2:.1f}{for_turning}"
-        text = f"{asks} for {acceleration_m_s2:.1f} m/s^2, {given}; expected {advice}"
-        found[field] = times, text
+        text = f"{slower.asks} for {acceleration_m_s2:.1f} m/s^2, {given}; expected {slower.expected}"
+        found[slower.key] = times, Problem(f"{where}.{slower.key}", text, slower.accepts)
     if speed_m_s > accepted_m_s * ROUNDED:
         times = speed_m_s / accepted_m_s
-        field, asks, advice = reference.excess("max_speed_m_s", accepted_m_s, times)
+        slower = reference.excess("max_speed_m_s", accepted_m_s, times)
         given = f"envelope.max_speed_m_s allows {accepted_m_s:g}{for_turning}"
-        text = f"{asks} for {speed_m_s:.1f} m/s, {given}; expected {advice}"
-        found[field] = max((times, text), found.get(field, (0.0, "")))  # the slower pace meets both limits
-    yield from (Problem(f"{where}.{field}", text) for field, (_, text) in found.items())
+        text = f"{slower.asks} for {speed_m_s:.1f} m/s, {given}; expected {slower.expected}"
+        if times > found.get(slower.key, (0.0,))[0]:  # the slower pace meets both limits
+            found[slower.key] = times, Problem(f"{where}.{slower.key}", text, slower.accepts)
+    yield from (problem for _, problem in found.values())
     yield from _climbs(where, fleet, reference) if isinstance(reference, LimitedReference) else ()
     yield from _rates(where, fleet, reference)
 
@@ -170,6 +180,7 @@ def _climbs(where: str, fleet: FleetConfig, reference: LimitedReference) -> Iter
                 f"{where}.max_speed_m_s",
                 f"{reference.max_speed_m_s:g} gives {rate_m_s:.1f} m/s vertically, envelope.{name} allows {most_m_s:g};"
                 f" expected at most {expected_m_s:g}",
+                (("max_speed_m_s", expected_m_s),),
             )
             return
 
@@ -179,11 +190,9 @@ def _rates(where: str, fleet: FleetConfig, reference: Reference) -> Iterator[Pro
     for name, rate_m_s in zip(("max_climb_m_s", "max_descent_m_s"), reference.largest_climb(), strict=True):
         most_m_s = getattr(fleet.envelope, name)
         if rate_m_s > most_m_s * ROUNDED:
-            key, value, advice = reference.slower_pace(rate_m_s / most_m_s)
-            text = (
-                f"{value} gives {rate_m_s:.1f} m/s vertically, envelope.{name} allows {most_m_s:g}; expected {advice}"
-            )
-            yield Problem(f"{where}.{key}", text)
+            slower = reference.slower_pace(rate_m_s / most_m_s)
+            text = f"{slower.asks} gives {rate_m_s:.1f} m/s vertically, envelope.{name} allows {most_m_s:g}"
+            yield Problem(f"{where}.{slower.key}", f"{text}; expected {slower.expected}", slower.accepts)
 
 
 def _turns(
@@ -196,9 +205,10 @@ def _turns(
     turns = (course(velocity, acceleration, 0.0) for _, velocity, acceleration in motions)
     fastest_rad_s = max((abs(turn.rate_rad_s) for turn in turns if turn), default=0.0)
     if fastest_rad_s > most_rad_s * ROUNDED:
-        key, value, advice = reference.slower_turn(fastest_rad_s / most_rad_s)
+        slower = reference.slower_turn(fastest_rad_s / most_rad_s)
         yield Problem(
-            f"{where}.{key}",
-            f"{value} turns the course by up to {fastest_rad_s:.2f} rad/s; a formation that turns with it and reaches"
-            f" {outermost_m:.1f} m can {most_rad_s:.2f}; expected {advice}, or a larger slot_speed_m_s",
+            f"{where}.{slower.key}",
+            f"{slower.asks} turns the course by up to {fastest_rad_s:.2f} rad/s; a formation that turns with it and reaches"
+            f" {outermost_m:.1f} m can {most_rad_s:.2f}; expected {slower.expected}, or a larger slot_speed_m_s",
+            slower.accepts,
         )

@@ -35,10 +35,14 @@ PLAIN_WORDS = {
 
 
 class Problem(NamedTuple):
-    """One error: the path of the field, like `fleet.vehicles[1].id`, and what is wrong with it."""
+    """One error: the path of the field, like `fleet.vehicles[1].id`, and what is wrong with it.
+
+    `accepts`: keys of the section, each with a value that would do, where they are known.
+    """
 
     field: str
     text: str
+    accepts: tuple[tuple[str, float], ...] = ()
 
 
 class InvalidFieldError(CompanionError):
@@ -185,7 +189,7 @@ def _examine_dict(data: dict[Any, Any], type_: Any, field: str) -> tuple[Any, li
 
 def _of_keys(problems: list[Problem]) -> Problem:
     """The first of them, which stands for all: a file with words for ids has one error, not as many as ids."""
-    field, text = problems[0]
+    field, text, _ = problems[0]
     more = f" (and {len(problems) - 1} more like it)" if len(problems) > 1 else ""
     return Problem(field, f"the key {text}{more}")
 

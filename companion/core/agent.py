@@ -91,13 +91,19 @@ class Agent:
     def step(self, now_s: float, inbox: Inbox) -> Outbox:
         """One tick: both parts of the decision, then the reports."""
         prepared_s = now_s if inbox.prepared_s is None else inbox.prepared_s
-        self.prepare(prepared_s, inbox.peers[: inbox.early], inbox.commands)
+        self.prepare(prepared_s, inbox.peers[: inbox.early], inbox.commands, inbox.checks)
         return self.report(self.decide(now_s, inbox))
 
-    def prepare(self, now_s: float, peers: Collection[ReceivedPeerPacket], commands: tuple[Command, ...]) -> None:
-        """The part of the next tick that needs no new position. `decide` must follow."""
+    def prepare(
+        self,
+        now_s: float,
+        peers: Collection[ReceivedPeerPacket],
+        commands: tuple[Command, ...],
+        checks: tuple[Command, ...] = (),
+    ) -> None:
+        """The part of the next tick that needs no new position. `decide` must follow. `checks` are only answered."""
         assert self._intake is None, "a tick is prepared once"
-        self._intake = self.arbitration.step(commands) if commands else self.arbitration.idle
+        self._intake = self.arbitration.step(commands, checks) if commands or checks else self.arbitration.idle
         self.consensus.receive(now_s, peers, self._distant)
 
     def decide(self, now_s: float, inbox: Inbox) -> Decision:
@@ -109,12 +115,12 @@ class Agent:
         vehicle = perception.vehicle
         fitness = self.preflight.step(now_s, inbox.telemetry, vehicle.autopilot, vehicle.home_enu_m)
         before = self.phases.observe(now_s, vehicle)
-        refusal_to_lead = last_guidance.refusal_to_lead
-        fit_to_lead = last.phase is FORMATION and self._last_safety.action <= WARN and refusal_to_lead is None
+        refusal = last_guidance.refusal_to_lead
+        fit_to_lead = last.phase is FORMATION and self._last_safety.action <= WARN and refusal is None
         consensus = self.consensus.step(
-            now_s, vehicle, before, inbox.peers[inbox.early :], intake.admitted, refusal_to_lead, fit_to_lead
+            now_s, vehicle, before, inbox.peers[inbox.early :], intake.admitted, refusal, fit_to_lead, intake.checks
         )
-        guidance = self.guidance.step(now_s, vehicle, before, consensus, intake.admitted, inbox.targets)
+        guidance = self.guidance.step(now_s, vehicle, before, consensus, intake.admitted, inbox.targets, intake.checks)
         safety = self.safeguard.step(
             now_s,
             vehicle,
@@ -126,7 +132,7 @@ class Agent:
             inbox,
         )
         commands: tuple[PhaseCommand, ...] = ()
-        if intake.admitted:
+        if intake.admitted or intake.checks:
             commands = self.dispatcher.step(intake, vehicle, fitness, consensus, guidance, safety)
         flight = self.phases.step(
             now_s,
@@ -166,12 +172,13 @@ class Agent:
         intake, consensus, guidance, flight = decided.intake, decided.consensus, decided.guidance, decided.flight
         report = self.reporter.step(decided)
         answers = consensus.answers + guidance.answers + flight.answers
+        is_asked = intake.received or intake.refused_checks
         return Outbox(
             attitude_target=decided.setpoint.target,
             requests=decided.requests,
             peer_packet=report.peer_packet,
             status=report.status,
-            replies=self.arbitration.replies(self._vehicle_id, intake, answers) if intake.received or answers else (),
+            replies=self.arbitration.replies(self._vehicle_id, intake, answers) if is_asked or answers else (),
             events=report.events,
             distant_ids=tuple(sorted(decided.distant)) if decided.distant else (),
         )

@@ -7,11 +7,17 @@ import textwrap
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from math import floor
 from typing import Any
 
-from companion.types.commands import CommandReply
+from companion.config.reference import ASKED
+from companion.ground.changes import FleetAction
+from companion.types.commands import CommandReply, Content, ReferenceChange
 from companion.types.notices import Code, Notice
 from companion.types.values import printable
+
+SCALE = "scale"  # a factor on the slots of a formation
+ROUNDED = 1e-9  # of a product that is a round number
 
 
 class AnswerKind(StrEnum):
@@ -40,7 +46,10 @@ class End:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The result of one command for one vehicle: `number` of the command, `after_s` to its reply, `end` None without --wait."""
+    """The result of one command for one vehicle: `number` of the command, `after_s` to its reply, `end` None without --wait.
+
+    The notice of a refusal has what would be accepted instead, where the vehicle knows it.
+    """
 
     kind: AnswerKind
     notice: Notice
@@ -59,7 +68,7 @@ def outcome_of(answer: TimedReply | None, wait_s: float) -> Outcome:
         return Outcome(AnswerKind.MISSING, Notice(Code.NO_REPLY, f"no reply within {wait_s:g} s"))
     reply = answer.reply
     kind = AnswerKind.ACCEPTED if reply.accepted else AnswerKind.REFUSED
-    return Outcome(kind, Notice(reply.code, reply.reason), answer.after_s, reply.number)
+    return Outcome(kind, Notice(reply.code, reply.reason, reply.accepts), answer.after_s, reply.number)
 
 
 def answer_lines(outcomes: Mapping[int, Outcome]) -> list[str]:
@@ -69,6 +78,30 @@ def answer_lines(outcomes: Mapping[int, Outcome]) -> list[str]:
         took = "" if outcome.after_s is None else f"{outcome.after_s * 1000.0:.0f} ms"
         lines += wrap_text(f"vehicle {vehicle_id:<3} {outcome.kind:<8} {took:>7}  ", str(outcome.notice))
     return lines
+
+
+def accepted_instead(action: FleetAction, content: Content | None, outcomes: Mapping[int, Outcome]) -> dict[str, float]:
+    """Keys of this request, each with a value that all vehicles would accept; empty where one that refuses knows none."""
+    refused = [dict(one.notice.accepts) for one in outcomes.values() if one.kind is AnswerKind.REFUSED]
+    if not refused or not all(refused):
+        return {}
+    if isinstance(content, ReferenceChange):
+        asked = {key: value for key, value in content.reference.items() if isinstance(value, int | float)}
+        known = {key: [of[key] for of in refused if key in of] for key in refused[0] if key in asked}
+        return {key: max(values, key=lambda value: abs(value - asked[key])) for key, values in known.items()}
+    if action.formation is None:
+        return {}
+    scale, request = min(of[SCALE] for of in refused), action.formation
+    if request.shape and request.spacing_m is not None:
+        return {"spacing_m": floor(request.spacing_m * scale * 100.0 + ROUNDED) / 100.0}
+    return {SCALE: floor(request.scale * scale * 1000.0 + ROUNDED) / 1000.0}
+
+
+def instead_lines(accepted: Mapping[str, float]) -> list[str]:
+    """ "accepted would be --spacing 61.5"."""
+    options = {"spacing_m": "--spacing", SCALE: "--scale"} | {key: asked.option for key, asked in ASKED.items()}
+    given = " ".join(f"{options.get(key, key)} {value:g}" for key, value in accepted.items())
+    return wrap_text("", f"accepted would be {given}") if given else []
 
 
 def end_lines(outcomes: Mapping[int, Outcome], goal: str) -> list[str]:
@@ -94,6 +127,7 @@ def answers_as_data(outcomes: Mapping[int, Outcome]) -> list[dict[str, Any]]:
             "code": outcome.notice.code,
             "reason": outcome.notice.text,
             "after_s": None if outcome.after_s is None else round(outcome.after_s, 4),
+            **({"accepts": dict(outcome.notice.accepts)} if outcome.notice.accepts else {}),
             **_end_as_data(outcome.end),
         }
         for vehicle_id, outcome in sorted(outcomes.items())

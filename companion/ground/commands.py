@@ -97,6 +97,11 @@ class CommandSession(Protocol):
     ) -> dict[int, TimedReply | None]:
         """Give one command to these vehicles and wait for their replies; None for a vehicle without one in time."""
 
+    def check(
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
+    ) -> dict[int, TimedReply | None]:
+        """What these vehicles would answer to this command. They change nothing."""
+
 
 def give(
     session: CommandSession,
@@ -122,7 +127,7 @@ def give(
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A command with its outcome for each vehicle. `running`: some vehicle was in formation when it was sent.
+    """A command, or the check of one, with its outcome for each vehicle. `running`: some vehicle was in formation then.
 
     `absent` vehicles do not report and got no command. `doubts`: what vehicles report that cannot be true.
     """
@@ -150,48 +155,70 @@ class OperatorCommands:
 
     def send(self, action: FleetAction) -> Sent:
         """Raises ConfigError and OperateError, before any command is sent."""
+        ids, to_send = self._resolved(action)
+        if to_send.name is CommandName.ARM:
+            outcomes = self._arm(ids)
+        elif to_send.name in ALL_OR_NONE:
+            outcomes = self._all_or_none(to_send.name, ids)
+        else:
+            outcomes = self._give(ids, to_send.name, to_send.content)
+        return replace(to_send, outcomes=outcomes)
+
+    def check(self, action: FleetAction) -> Sent:
+        """What each vehicle would answer, by its own checks and in its own state. Nothing changes.
+
+        `arm` of a vehicle that is not prepared is checked as far as the first step, `prepare`. Raises as `send`.
+        """
+        ids, to_send = self._resolved(action)
+        first = self._observing(ids) if to_send.name is CommandName.ARM else []
+        rest = [i for i in ids if i not in first]
+        answers = self._session.check(first, CommandName.PREPARE, self._wait_s) if first else {}
+        answers |= self._session.check(rest, to_send.name, self._wait_s, to_send.content) if rest else {}
+        return replace(to_send, outcomes=self._outcomes(answers))
+
+    def _resolved(self, action: FleetAction) -> tuple[Sequence[int], Sent]:
+        """The vehicles that get the command, and the command without outcomes yet."""
         if action.leaders:
             return self._lead(action.leaders)
         if action.formation:
             return self._formation(action.formation)
         if action.reference:
             return self._reference(action.reference)
-        name, ids = CommandName(action.name), sorted(set(action.only)) or self._all
-        if name is CommandName.ARM:
-            return self._arm(ids)
-        if name in ALL_OR_NONE:
-            return self._all_or_none(name, ids)
-        return Sent(name, None, self._give(ids, name))
+        return sorted(set(action.only)) or self._all, Sent(CommandName(action.name), None, {})
 
     def _give(self, ids: Collection[int], name: CommandName, content: Content | None = None) -> dict[int, Outcome]:
-        answers = give(self._session, ids, name, self._wait_s, content)
+        return self._outcomes(give(self._session, ids, name, self._wait_s, content))
+
+    def _outcomes(self, answers: Mapping[int, TimedReply | None]) -> dict[int, Outcome]:
         return {vehicle_id: outcome_of(answer, self._wait_s) for vehicle_id, answer in answers.items()}
 
-    def _arm(self, ids: Sequence[int]) -> Sent:
-        """Vehicles in phase observe are prepared first; one that refuses that is not armed."""
+    def _observing(self, ids: Sequence[int]) -> list[int]:
+        """The vehicles that are not prepared yet."""
         reports = self._statuses(ids)
-        observing = [
+        return [
             i for i, status in reports.items() if status.phase is FlightPhase.OBSERVE and not status.autopilot.armed
         ]
-        outcomes = self._give(observing, CommandName.PREPARE)
+
+    def _arm(self, ids: Sequence[int]) -> dict[int, Outcome]:
+        """Vehicles in phase observe are prepared first; one that refuses that is not armed."""
+        outcomes = self._give(self._observing(ids), CommandName.PREPARE)
         prepared = [i for i, outcome in outcomes.items() if outcome.kind is AnswerKind.ACCEPTED]
         self._wait_while(prepared, {FlightPhase.OBSERVE, FlightPhase.PREPARE}, PREPARED_WITHIN_S)
         to_arm = [i for i in ids if i not in outcomes or i in prepared]
-        return Sent(CommandName.ARM, None, outcomes | self._give(to_arm, CommandName.ARM))
+        return outcomes | self._give(to_arm, CommandName.ARM)
 
-    def _all_or_none(self, name: CommandName, ids: Sequence[int]) -> Sent:
+    def _all_or_none(self, name: CommandName, ids: Sequence[int]) -> dict[int, Outcome]:
         """Sent only where the reports of all vehicles permit it."""
         self._statuses(ids)
         self._wait_while(ids, STILL_CHANGING, self._wait_s)
         statuses = self._session.newest()
-        refused = check_all(name, ids, statuses, self._session.operator, self._wait_s)
-        return Sent(name, None, refused or self._give(ids, name))
+        return check_all(name, ids, statuses, self._session.operator, self._wait_s) or self._give(ids, name)
 
-    def _lead(self, leaders: tuple[int, ...]) -> Sent:
+    def _lead(self, leaders: tuple[int, ...]) -> tuple[Sequence[int], Sent]:
         lead = Lead(leaders, next_epoch(status.leadership.epoch for status in self._statuses(self._all).values()))
-        return Sent(CommandName.LEAD, lead, self._give(self._all, CommandName.LEAD, lead))
+        return self._all, Sent(CommandName.LEAD, lead, {})
 
-    def _formation(self, request: FormationRequest) -> Sent:
+    def _formation(self, request: FormationRequest) -> tuple[Sequence[int], Sent]:
         """From the present positions of all vehicles that report; the others count as absent, and their slots stay empty.
 
         The vehicles cancel it where one of those flies in formation after all.
@@ -205,10 +232,9 @@ class OperatorCommands:
         if refusal := refusal_of(slots_enu_m, fleet.separation_m, has_height=fleet.law.altitude == "formation"):
             raise OperateError(refusal)
         change = change_to(slots_enu_m, statuses, fleet.slot_speed_m_s, reach_m)
-        outcomes = self._give(list(reports), CommandName.FORMATION, change)
-        return Sent(CommandName.FORMATION, change, outcomes, time_runs(statuses), change.absent, doubts)
+        return list(reports), Sent(CommandName.FORMATION, change, {}, time_runs(statuses), change.absent, doubts)
 
-    def _reference(self, request: ReferenceRequest) -> Sent:
+    def _reference(self, request: ReferenceRequest) -> tuple[Sequence[int], Sent]:
         """Checked with the present slots, as by each vehicle that may lead."""
         reports = self._statuses(self._all)
         if not reports:
@@ -219,8 +245,7 @@ class OperatorCommands:
         check_reference(request.file or command_line("reference"), self._fleet, reference, slots_enu_m=slots_enu_m)
         change = reference_change(msgspec.to_builtins(reference), statuses)
         may_lead = [member.id for member in self._fleet.vehicles if member.can_lead]
-        outcomes = self._give(may_lead, CommandName.REFERENCE, change)
-        return Sent(CommandName.REFERENCE, change, outcomes, time_runs(statuses), doubts=doubts)
+        return may_lead, Sent(CommandName.REFERENCE, change, {}, time_runs(statuses), doubts=doubts)
 
     def _statuses(self, ids: Iterable[int]) -> dict[int, Status]:
         """Status of these vehicles when all have reported, or of those that have in time."""

@@ -15,7 +15,16 @@ from companion.config.file import read_regular
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
 from companion.config.vehicle import ground_endpoints
-from companion.ground.answers import AnswerKind, answer_lines, answers_as_data, end_lines, id_list, wrap_text
+from companion.ground.answers import (
+    AnswerKind,
+    accepted_instead,
+    answer_lines,
+    answers_as_data,
+    end_lines,
+    id_list,
+    instead_lines,
+    wrap_text,
+)
 from companion.ground.belief import Doubt, doubts_as_data, doubts_of
 from companion.ground.changes import FleetAction
 from companion.ground.commands import OperateError, OperatorCommands, Sent, check_content, statuses_of, wait_for
@@ -45,6 +54,7 @@ class FleetRequest:
     operator: str  # "" for user@host; not used with an identity
     wait_s: float  # for reports and replies
     as_json: bool
+    check: bool = False  # only ask what the vehicles would answer
     wait: bool = True  # until the action is finished, after all vehicles have accepted it
     identity: Path | None = None
     timeout_s: float | None = None  # longest wait until the action is finished; None for the default of the action
@@ -156,18 +166,21 @@ def _admission_line(vehicle_id: int, status: Status | None, number: int) -> str:
 
 
 def _command(session: FleetSession, request: FleetRequest, commands: OperatorCommands, endpoints: Sequence[str]) -> int:
-    sent = commands.send(request.action)
+    sent = commands.check(request.action) if request.check else commands.send(request.action)
+    instead = accepted_instead(request.action, sent.content, sent.outcomes)
     missing = any(outcome.kind is AnswerKind.MISSING for outcome in sent.outcomes.values())
     failed_endpoints = unreachable(endpoints, session.linked()) if missing else {}
     if not request.as_json:
         more_lines = [*_absent_lines(sent.absent), *_doubt_lines(sent.doubts), *_endpoint_lines(failed_endpoints)]
-        _print([*answer_lines(sent.outcomes), *more_lines])
-    goal = goal_of(sent.name, sent.content, sent.running) if request.wait else None
+        _print([*answer_lines(sent.outcomes), *instead_lines(instead), *more_lines])
+    goal = goal_of(sent.name, sent.content, sent.running) if request.wait and not request.check else None
     if goal and any(outcome.kind is AnswerKind.ACCEPTED for outcome in sent.outcomes.values()):
         sent = _waited(session, request, sent, goal)
-    advice = advise_divided_fleet(sent.name, sent.outcomes)
+    advice = None if request.check else advise_divided_fleet(sent.name, sent.outcomes)
     if request.as_json:
         more: dict[str, Any] = {"advice": str(advice)} if advice else {}
+        more |= {"check": True} if request.check else {}
+        more |= {"instead": instead} if instead else {}
         more |= {"absent": list(sent.absent)} if sent.absent else {}
         more |= {"doubts": doubts_as_data(sent.doubts)} if sent.doubts else {}
         data = answers_as_data(sent.outcomes)

@@ -11,7 +11,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from math import inf
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import zenoh
 
@@ -21,7 +21,16 @@ from companion.link.fleet.zenoh_session import drain, each, open_session
 from companion.types.commands import Command, CommandName, CommandReply, Content, next_number
 from companion.types.notices import Code
 from companion.types.status import Status
-from companion.wire.keys import ANY, abort_key, admission_key, command_key, reply_fleet_of, reply_key, status_key
+from companion.wire.keys import (
+    ANY,
+    abort_key,
+    admission_key,
+    check_key,
+    command_key,
+    reply_fleet_of,
+    reply_key,
+    status_key,
+)
 from companion.wire.messages import StatusReport, WireError, decode_reply, decode_report, encode
 
 if TYPE_CHECKING:
@@ -65,6 +74,18 @@ def operator_here() -> str:
     return re.sub(r"[^A-Za-z0-9_.@+-]", "-", f"{user}@{socket.gethostname()}").lstrip("_.@+-")[:63]
 
 
+class Posted(NamedTuple):
+    """What is sent to one vehicle until it answers, and under which key: a command, or the check of one."""
+
+    key: str
+    command: Command
+    is_check: bool = False
+
+
+Make = Callable[[int, Status | None], Posted | None]
+"""(vehicle, its newest report) -> what it is asked; None while it cannot be yet."""
+
+
 class FleetSession(GroundConnection):
     """Receives from one fleet and commands it. Threads may use it at the same time.
 
@@ -98,6 +119,7 @@ class FleetSession(GroundConnection):
         self._mailboxes: list[deque[CommandReply]] = []  # one for each `ask` under way
         self._newest: dict[int, tuple[float, Status]] = {}  # by vehicle, with the time of arrival
         self._numbers: dict[int, int] = {}  # number of the last command to each vehicle
+        self._last_check = 0
 
     def drain(self) -> list[StatusReport]:
         """All reports since the last call, oldest first. Never blocks."""
@@ -173,29 +195,61 @@ class FleetSession(GroundConnection):
         because it is valid for one start of the agent only. ABORT waits for nothing. A command is sent again until it is
         answered, or `cancelled`; a vehicle executes it once.
         """
+
+        def made(vehicle_id: int, report: Status | None) -> Posted | None:
+            if name is CommandName.ABORT:
+                command = Command(name, time.time_ns() // 1_000_000, self.operator, session=0)
+                return Posted(abort_key(self.fleet, vehicle_id, self.operator), command)
+            if report is None:
+                return None
+            return Posted(command_key(self.fleet, vehicle_id, self.operator), self._command(report, name, content))
+
+        return self._ask_all(vehicle_ids, made, timeout_s, cancelled)
+
+    def check(
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
+    ) -> dict[int, TimedReply | None]:
+        """As `ask`, for what these vehicles would answer to a command. They change nothing, and neither does this session."""
+
+        def made(vehicle_id: int, report: Status | None) -> Posted | None:
+            if report is None:
+                return None
+            check = Command(name, self._check_number(), self.operator, report.agent.session, content)
+            return Posted(check_key(self.fleet, vehicle_id, self.operator), check, is_check=True)
+
+        return self._ask_all(vehicle_ids, made, timeout_s, lambda: False)
+
+    def _check_number(self) -> int:
+        """For the reply alone: far above the number of any command, and of one program alone."""
+        with self._lock:
+            self._last_check = max(self._last_check + 1, time.time_ns() // 1_000_000)
+            return self._last_check
+
+    def _ask_all(
+        self, vehicle_ids: Iterable[int], made: Make, timeout_s: float, cancelled: Callable[[], bool]
+    ) -> dict[int, TimedReply | None]:
         mailbox: deque[CommandReply] = deque(maxlen=REPLIES_KEPT)
         with self._lock:
             self._listen_to_replies()  # those before this command are not for it
             self._mailboxes.append(mailbox)
         answers: dict[int, TimedReply | None] = dict.fromkeys(vehicle_ids)
-        sent: dict[int, tuple[Command, float, float]] = {}  # command, time of the first and of the last sending
+        sent: dict[int, tuple[Posted, float, float]] = {}  # command, time of the first and of the last sending
         try:
-            self._ask(answers, sent, name, timeout_s, content, cancelled, mailbox)
+            self._ask(answers, sent, made, timeout_s, cancelled, mailbox)
         finally:
             with self._lock:
                 self._mailboxes = [other for other in self._mailboxes if other is not mailbox]
-                for vehicle_id, (command, _, _) in sent.items():
+                for vehicle_id, (asked, _, _) in sent.items():
                     if answers[vehicle_id] is None:  # a reply that comes now is a late one
-                        self._asked.pop((vehicle_id, command.number), None)
+                        self._asked.pop((vehicle_id, asked.command.number), None)
         return answers
 
     def _ask(
         self,
         answers: dict[int, TimedReply | None],
-        sent: dict[int, tuple[Command, float, float]],
-        name: CommandName,
+        sent: dict[int, tuple[Posted, float, float]],
+        made: Make,
         timeout_s: float,
-        content: Content | None,
         cancelled: Callable[[], bool],
         mailbox: deque[CommandReply],
     ) -> None:
@@ -206,30 +260,28 @@ class FleetSession(GroundConnection):
             for vehicle_id in sorted(i for i, answer in answers.items() if answer is None):
                 if cancelled():
                     break
-                command, first_s, last_s = sent.get(vehicle_id, (None, now_s, -inf))
-                if command is None and name is CommandName.ABORT:
-                    command = Command(name, time.time_ns() // 1_000_000, self.operator, session=0)
-                elif command is None and vehicle_id in reports:
-                    command = self._command(reports[vehicle_id], name, content)
-                if command and now_s - last_s >= AGAIN_S:
+                asked, first_s, last_s = sent.get(vehicle_id, (None, now_s, -inf))
+                asked = asked or made(vehicle_id, reports.get(vehicle_id))
+                if asked and now_s - last_s >= AGAIN_S:
                     if vehicle_id not in sent:
-                        self._note(vehicle_id, command)
-                    self._send(vehicle_id, command)
-                    sent[vehicle_id] = (command, first_s, now_s)
+                        self._note(vehicle_id, asked)
+                    self._send(asked)
+                    sent[vehicle_id] = (asked, first_s, now_s)
             time.sleep(min(POLL_S, timeout_s))
             with self._lock:
                 self._listen_to_replies()
             while mailbox:
                 reply = mailbox.popleft()
-                command, first_s, _ = sent.get(reply.vehicle_id, (None, 0.0, 0.0))
-                if command and (reply.operator, reply.number) == (command.operator, command.number):
+                asked, first_s, _ = sent.get(reply.vehicle_id, (None, 0.0, 0.0))
+                if asked and (reply.operator, reply.number) == (asked.command.operator, asked.command.number):
                     answers[reply.vehicle_id] = TimedReply(reply, time.monotonic() - first_s)
 
-    def _note(self, vehicle_id: int, command: Command) -> None:
-        """A command that is sent for the first time."""
+    def _note(self, vehicle_id: int, asked: Posted) -> None:
+        """What is sent for the first time."""
         with self._lock:
-            self._undrained_commands.append(command)
-            self._asked[vehicle_id, command.number] = None
+            if not asked.is_check:
+                self._undrained_commands.append(asked.command)
+            self._asked[vehicle_id, asked.command.number] = None
             if len(self._asked) > REPLIES_KEPT:
                 del self._asked[next(iter(self._asked))]
 
@@ -240,11 +292,10 @@ class FleetSession(GroundConnection):
             self._numbers[status.agent.vehicle_id] = number
         return Command(name, number, self.operator, status.agent.session, content)
 
-    def _send(self, vehicle_id: int, command: Command) -> None:
-        key = abort_key if command.name is CommandName.ABORT else command_key
+    def _send(self, asked: Posted) -> None:
         self.session.put(
-            key(self.fleet, vehicle_id, self.operator),
-            encode(command),
+            asked.key,
+            encode(asked.command),
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.INTERACTIVE_HIGH,
             express=True,

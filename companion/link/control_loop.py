@@ -92,10 +92,10 @@ class ControlLoop:
     def prepare(self, now_s: float) -> None:
         """The first part of the next tick, before its position is due. Raises as `tick` does."""
         peers, commands = self._peers.receive(now_s)
-        targets = self._peers.targets(now_s)
-        seen = Inbox(peers=peers, commands=commands, targets=targets, prepared_s=now_s, early=len(peers))
+        targets, checks = self._peers.targets(now_s), self._peers.checks()
+        seen = Inbox(peers=peers, commands=commands, targets=targets, prepared_s=now_s, early=len(peers), checks=checks)
         self._begun = (now_s, seen)
-        self._agent.prepare(now_s, peers, commands)
+        self._agent.prepare(now_s, peers, commands, checks)
         self._prepared, self._begun = seen, None
 
     def tick(self, now_s: float) -> None:
@@ -144,6 +144,7 @@ class ControlLoop:
             prepared_s=seen.prepared_s,
             early=seen.early,
             law_s=self._law.read_s() if self._law else 0.0,
+            checks=seen.checks,
         )
 
     def _send(self, now_s: float, telemetry: Sequence[Telemetry], decision: Decision) -> int | None:

@@ -23,6 +23,7 @@ BURST = 20  # lines of one code at once
 LINES_PER_S = 1.0  # then at most this many lines of one code
 LINES_KEPT = 500  # that wait for the stream
 FLUSH_S = 1.0
+COMMAND, CHECK = "command", "check of"  # before the name of a command
 FLAGS = frozenset(str(flag) for flag in HealthFlag)
 
 _log = logging.getLogger(__name__)
@@ -167,10 +168,10 @@ class RejectionLog(LogLimiter):
 
 
 class CommandLog(LogLimiter):
-    """Logs every command with its reply."""
+    """Logs every command, and every check of one, with its reply."""
 
-    def log(self, command: Command, reply: CommandReply, now_s: float) -> None:
-        """Log one command with its reply."""
+    def log(self, kind: str, command: Command, reply: CommandReply, now_s: float) -> None:
+        """Log one with its reply. `kind` is what it was, before its name."""
         outcome = "accepted" if reply.accepted else "refused"
-        given = f"command {command.name}, number {command.number} of {command.operator}"
+        given = f"{kind} {command.name}, number {command.number} of {command.operator}"
         self.line(logging.INFO, reply.code, f"{given}: {outcome}, {reply.code}: {reply.reason}", now_s)

@@ -232,7 +232,8 @@ def _reference(reference: Reference, fleet: FleetConfig, statuses: Sequence[Stat
     """The track of the reference; None as time where it has no end."""
     slots_enu_m = flown_slots_enu_m(statuses)
     problems = [
-        ConfigError("reference", *problem) for problem in reference_problems(fleet, reference, "reference", slots_enu_m)
+        ConfigError("reference", one.field, one.text)
+        for one in reference_problems(fleet, reference, "reference", slots_enu_m)
     ]
     lasts_s = reference.whole_s()
     curve, points = reference.curve(), TRACK_POINTS if lasts_s else 1

@@ -244,6 +244,12 @@ class UntilEnded:
         self._check()
         return answers
 
+    def check(
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
+    ) -> dict[int, TimedReply | None]:
+        self._check()
+        return self._session.check(vehicle_ids, name, timeout_s, content)
+
     def _check(self) -> None:
         if by := self._running.ended_by:
             raise EndedError(f"ended by {by}; vehicles that had the command already may have begun")

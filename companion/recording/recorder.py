@@ -134,7 +134,7 @@ class Recorder:
         self.ticks += 1
         self._waiting.append(_Tick(self.ticks, now_s, inbox, decision, outbox, report, timing))
         # Commands may be large: a flood of them is encoded tick by tick.
-        if len(self._waiting) < ENCODED_TOGETHER and not inbox.commands:
+        if len(self._waiting) < ENCODED_TOGETHER and not (inbox.commands or inbox.checks):
             return None
         self._encode_waiting()
         if not self._stream.hand_on(now_s):

@@ -9,7 +9,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from companion.types.formation import FormationChange
-from companion.types.notices import Code
+from companion.types.notices import Accepts, Code
 from companion.types.values import MAX_NUMBER, Finite, Line, MissionTime, Number, VehicleId, VehicleIds, Word
 
 
@@ -30,6 +30,8 @@ class CommandName(StrEnum):
     TAKE = "take"  # take over command from the operator who holds it
     ABORT = "abort"  # disarm on the ground, the autopilot's hold mode in the air
 
+
+NOT_CHECKED = frozenset({CommandName.TAKE, CommandName.ABORT})  # they are accepted whenever they are given
 
 MAX_EPOCH = 2**31 - 1
 NUMBERS_AHEAD = 1000  # numbers and epochs further ahead of the own one are refused: a wrong one cannot use up all
@@ -123,10 +125,11 @@ CONTENT: dict[CommandName, type] = {
 }
 
 
-class CommandReply(Struct, frozen=True, gc=False):
-    """Reply to one command. `code` and `reason`: why it is refused, or what happens now.
+class CommandReply(Struct, frozen=True, gc=False, omit_defaults=True):
+    """Reply to one command, or to the check of one. `code` and `reason`: why it is refused, or what happens now.
 
-    `operator` and `number` are those of the command: all programs on the ground receive all replies.
+    `operator` and `number` are those of the command: all programs on the ground receive all replies. `accepts`: keys of its
+    content with values that would be accepted, where the vehicle knows them; `scale` is a factor on the slots of a formation.
     """
 
     vehicle_id: VehicleId
@@ -135,3 +138,4 @@ class CommandReply(Struct, frozen=True, gc=False):
     code: Code
     reason: Line
     operator: Operator
+    accepts: Accepts = ()

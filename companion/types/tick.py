@@ -17,6 +17,7 @@ class Inbox(Struct, frozen=True, gc=False):
     `late_s`: how much later than due this tick began, seconds. `law_s`: how long a law from outside took in the tick before,
     seconds; 0 for a built-in one, and in virtual time. The first `early` packets of `peers`, and all commands and
     targets, were there when the tick was prepared, at `prepared_s`; None where that was done with the rest.
+    `checks` are commands that are answered and not executed.
     """
 
     telemetry: tuple[Telemetry, ...] = ()
@@ -29,6 +30,7 @@ class Inbox(Struct, frozen=True, gc=False):
     prepared_s: float | None = None
     early: int = 0
     law_s: float = 0.0
+    checks: tuple[Command, ...] = ()
 
 
 class Outbox(Struct, frozen=True, gc=False):

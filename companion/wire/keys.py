@@ -37,6 +37,11 @@ def abort_key(fleet: str, vehicle_id: int, operator: str) -> str:
     return f"{ROOT}/{fleet}/abort/{vehicle_id}/{operator}"
 
 
+def check_key(fleet: str, vehicle_id: int, operator: str) -> str:
+    """Key under which an operator publishes Commands that a vehicle only answers. Who does not know it executes none."""
+    return f"{ROOT}/{fleet}/check/{vehicle_id}/{operator}"
+
+
 def admission_key(fleet: str, ground: str) -> str:
     """Key under which a ground publishes a new admission list, which the fleet's authority has signed."""
     return f"{ROOT}/{fleet}/admitted/{ground}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from heapq import heappop, heappush
 from pathlib import Path
 from random import Random
@@ -22,6 +22,7 @@ from sitl.links.network import Network
 
 TELEMETRY_STEPS = 5  # between two positions, and between two rows of a track
 OPERATOR = "sitl-run"
+FIRST_CHECK = 1_000_000_000  # above the numbers of commands
 
 
 def phase_steps(seed: int, vehicle_id: int) -> int:
@@ -55,7 +56,7 @@ class Lockstep:
         self._cameras = None
         if scenario.fleet.external_vision:
             self._cameras = VirtualCameras(self.stand_ins, self.vehicles, scenario.stand_in)
-        self._commands_given = 0
+        self._commands_given = self._checks_given = 0
         self._target_samples = 0
 
     def now_s(self) -> float:
@@ -85,10 +86,29 @@ class Lockstep:
         A vehicle that has not reported yet gets none, for lack of its session, and is waited for until it reports.
         """
         self._commands_given += 1
-        number, asked = self._commands_given, [self.vehicles[vehicle_id] for vehicle_id in vehicle_ids]
+        number = self._commands_given
+        return self._ask(
+            vehicle_ids, timeout_s, number, lambda one: one.give(self._command(one, name, number, content))
+        )
+
+    def check(
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
+    ) -> dict[int, TimedReply | None]:
+        """As `ask`, for what these vehicles would answer to a command. They change nothing."""
+        self._checks_given += 1
+        number = FIRST_CHECK + self._checks_given
+        return self._ask(vehicle_ids, timeout_s, number, lambda one: one.ask(self._command(one, name, number, content)))
+
+    def _command(self, vehicle: VirtualAgent, name: CommandName, number: int, content: Content | None) -> Command:
+        return Command(name, number, self.operator, vehicle.session, content)
+
+    def _ask(
+        self, vehicle_ids: Iterable[int], timeout_s: float, number: int, give: Callable[[VirtualAgent], None]
+    ) -> dict[int, TimedReply | None]:
+        asked = [self.vehicles[vehicle_id] for vehicle_id in vehicle_ids]
         given = [vehicle for vehicle in asked if vehicle.session]
         for vehicle in given:
-            vehicle.give(Command(name, number, self.operator, vehicle.session, content))
+            give(vehicle)
         given_s = self.now_s()
         while self.now_s() < given_s + timeout_s and (
             any(vehicle.reply_to(number) is None for vehicle in given) or not all(vehicle.session for vehicle in asked)

@@ -173,6 +173,7 @@ class VirtualAgent:
         self._timer = VirtualTimer()
         self._prepared: Inbox | None = None  # what the first part of the next tick saw, once it has run
         self._commands: tuple[Command, ...] = ()
+        self._checks: tuple[Command, ...] = ()
         self._targets: tuple[tuple[str, TargetSample], ...] = ()
         self._start()
         self._reply: CommandReply | None = None  # the last
@@ -182,6 +183,10 @@ class VirtualAgent:
 
     def give(self, command: Command) -> None:
         self._commands += (command,)
+
+    def ask(self, check: Command) -> None:
+        """A command that is only to be answered."""
+        self._checks += (check,)
 
     def take_target(self, name: str, target: TargetSample) -> None:
         """A sample of a moving target, for the next tick."""
@@ -229,11 +234,13 @@ class VirtualAgent:
         now_s = self._timer.now_s
         if self._failed:
             return
-        packets, commands = self.network.receive(self.vehicle_id, now_s), self._commands
+        packets, commands, checks = self.network.receive(self.vehicle_id, now_s), self._commands, self._checks
         targets = tuple([ReceivedTarget(now_s, name, target) for name, target in self._targets])
-        self._prepared = Inbox(peers=packets, commands=commands, targets=targets, prepared_s=now_s, early=len(packets))
-        self._commands, self._targets = (), ()
-        self.agent.prepare(now_s, packets, commands)
+        self._prepared = Inbox(
+            peers=packets, commands=commands, targets=targets, prepared_s=now_s, early=len(packets), checks=checks
+        )
+        self._commands, self._checks, self._targets = (), (), ()
+        self.agent.prepare(now_s, packets, commands, checks)
 
     def _tick(self) -> None:
         now_s = self._timer.now_s
@@ -288,7 +295,7 @@ class VirtualAgent:
         """Nothing waits for the next process."""
         self.link.drain(now_s)
         self.network.receive(self.vehicle_id, now_s)
-        self._commands, self._targets = (), ()
+        self._commands, self._checks, self._targets = (), (), ()
 
     def close(self) -> None:
         """End the recording."""

@@ -77,6 +77,9 @@ class PeerBytes:
     def targets(self, _now_s: float) -> tuple[ReceivedTarget, ...]:
         return ()
 
+    def checks(self) -> tuple[Command, ...]:
+        return ()
+
     def publish_peer(self, packet: PeerPacket) -> None:
         data = encode_peer(packet)
         self.copied_bytes += len(data)

@@ -73,10 +73,20 @@ class Ground:
         return printed
 
     def answers(self, *arguments: str, operator: str = "anna", code: int = 0) -> dict[int, dict[str, Any]]:
-        output, _ = self._run(*arguments, "--json", operator=operator, code=code)
-        printed = json.loads(output)
-        assert printed["operator"] == operator
+        printed = self.printed(*arguments, operator=operator, code=code)
         return {vehicle["vehicle_id"]: vehicle for vehicle in printed["vehicles"]}
+
+    def printed(self, *arguments: str, operator: str = "anna", code: int = 0) -> dict[str, Any]:
+        output, _ = self._run(*arguments, "--json", operator=operator, code=code)
+        printed: dict[str, Any] = json.loads(output)
+        assert printed["operator"] == operator
+        return printed
+
+    def check(self, *arguments: str, operator: str = "anna", code: int = 0) -> set[str]:
+        """The codes of the vehicles' answers to the check of a command."""
+        answers = self.printed(*arguments, "--check", operator=operator, code=code)
+        assert answers["check"]
+        return {vehicle["code"] for vehicle in answers["vehicles"]}
 
     def until(self, phase: FlightPhase, condition: Callable[[Status], bool] = lambda _: True) -> None:
         """Until all vehicles are in this phase and the condition holds for each."""
@@ -117,6 +127,10 @@ def test_a_mission_from_one_terminal(ground: Ground) -> None:
     refused = ground.answers("takeoff", code=1)
     assert {(vehicle["answer"], vehicle["code"]) for vehicle in refused.values()} == {("not sent", "WRONG_PHASE")}
 
+    assert ground.check("takeoff", code=1) == {"WRONG_PHASE"}  # by the vehicles, each for itself
+    assert ground.check("arm") == {"CHECK_PASSED"}
+    ground.until(FlightPhase.OBSERVE, lambda status: (status.command.holder, status.command.command_number) == ("", 0))
+
     ground.answers("arm", "--only", "1", "2")
     held_back = ground.answers("takeoff", code=1)  # one is not armed: none climbs
     assert {i: vehicle["code"] for i, vehicle in held_back.items()} == {1: "NOT_SENT", 2: "NOT_SENT", 3: "WRONG_PHASE"}
@@ -143,6 +157,18 @@ def test_a_mission_from_one_terminal(ground: Ground) -> None:
     stranger = ground.answers("hold", operator="boris", code=1)
     assert {vehicle["code"] for vehicle in stranger.values()} == {"OTHER_HOLDS_COMMAND"}
     ground.until(FlightPhase.FORMATION, lambda status: status.command.holder == "anna")
+
+    assert ground.check("hold", operator="boris", code=1) == {"OTHER_HOLDS_COMMAND"}
+    assert ground.check("leader", "2") == {"CHECK_PASSED"}
+    assert ground.check("land") == {"CHECK_PASSED"}
+    wide = ground.printed("formation", "line", "--spacing", "200", "--check", code=1)
+    assert {(vehicle["answer"], vehicle["code"]) for vehicle in wide["vehicles"]} == {("refused", "SLOT_OUTSIDE_FENCE")}
+    spacing = str(wide["instead"]["spacing_m"])
+    assert ground.check("formation", "line", "--spacing", spacing) == {"CHECK_PASSED"}
+    assert ground.check("reference", "point", "--at", "1", "-1", "3") == {"CHECK_PASSED"}
+    lines = ground.fleet("formation", "line", "--spacing", "200", "--check", code=1)
+    assert lines.endswith(f"accepted would be --spacing {float(spacing):g}\n")
+    ground.until(FlightPhase.FORMATION, lambda s: (s.leadership.epoch, s.formation.slot.waiting) == (0, 0))
 
     ground.fleet("leader", "2")
     ground.until(FlightPhase.FORMATION, lambda status: status.leadership.epoch == 1)
@@ -185,6 +211,7 @@ def test_a_mission_from_one_terminal(ground: Ground) -> None:
 
     log = (ground.folder / "agent_2.log").read_text()
     assert " of boris: refused, OTHER_HOLDS_COMMAND: " in log
+    assert ": check of takeoff, number " in log
     assert " of boris: accepted, COMMAND_TAKEN: " in log
     assert ": COMMAND_TAKEN: boris takes command from anna\n" in log  # as an event, too
     assert ": ABORT_BY_OTHER: " in log

@@ -289,6 +289,9 @@ class RecordedPeers:
     def targets(self, _now_s: float) -> tuple[ReceivedTarget, ...]:
         return ()
 
+    def checks(self) -> tuple[Command, ...]:
+        return ()
+
     def publish_peer(self, packet: PeerPacket) -> None:
         received = decode_peer(encode_peer(packet))
         self.packets.append(ReceivedPeerPacket(packet.motion.sent_s, received))

@@ -188,6 +188,8 @@ class DirectedVehicles:
         self.mute: set[int] = set()
         self.cancels: set[int] = set()  # vehicles that accept one formation, and have dropped it when its time has come
         self.received: list[tuple[CommandName, tuple[int, ...]]] = []
+        self.checked: list[tuple[CommandName, tuple[int, ...], Content | None]] = []
+        self.accepts: tuple[tuple[str, float], ...] = ()
         self.leads: list[Lead] = []
         self.references: list[ReferenceChange] = []
         self._due: dict[int, tuple[float, CommandName]] = {}
@@ -202,6 +204,20 @@ class DirectedVehicles:
     ) -> dict[int, TimedReply | None]:
         replies = self._replies(vehicle_ids, name, timeout_s, content)
         return {i: TimedReply(reply, 0.0) if reply else None for i, reply in replies.items()}
+
+    def check(
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
+    ) -> dict[int, TimedReply | None]:
+        """Refused where the command is; nothing changes."""
+        assert timeout_s > 0
+        self.checked.append((name, tuple(vehicle_ids), content))
+        replies = {}
+        for i in self.checked[-1][1]:
+            reasons = self.refuses.get((i, name), [])
+            code = Code.WRONG_PHASE if reasons else Code.CHECK_PASSED
+            reply = CommandReply(i, 1, not reasons, code, reasons[0] if reasons else "yes", self.operator, self.accepts)
+            replies[i] = None if i in self.mute else TimedReply(reply, 0.0)
+        return replies
 
     def _replies(
         self, ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None

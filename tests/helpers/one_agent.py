@@ -190,6 +190,7 @@ class AgentFlight:
         telemetry: list[Telemetry] | None = None,
         lead: Content | None = None,
         given: tuple[Command, ...] = (),
+        checks: tuple[Command, ...] = (),
     ) -> Outbox:
         self.now_s += 0.02
         self.peer_reference_s += 0.02 if self.peer_reference_s else 0.0
@@ -197,7 +198,9 @@ class AgentFlight:
         commands = tuple(self.command(name, content=lead) for name in names)
         samples = self.telemetry() if telemetry is None else telemetry
         traffic = tuple(ReceivedTraffic(self.now_s, name, sample) for name, sample in self.traffic.items())
-        inbox = Inbox(tuple(samples), tuple(self.peer()), commands + given, self.stopping, traffic=traffic)
+        inbox = Inbox(
+            tuple(samples), tuple(self.peer()), commands + given, self.stopping, traffic=traffic, checks=checks
+        )
         self.outbox = self.agent.step(self.now_s, inbox)
         if self.executes_requests:
             self._execute_requests()

@@ -82,6 +82,11 @@ class Session:
     ) -> dict[int, TimedReply | None]:
         return self._flight.lockstep.ask(vehicle_ids, name, timeout_s, content)
 
+    def check(
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
+    ) -> dict[int, TimedReply | None]:
+        return self._flight.lockstep.check(vehicle_ids, name, timeout_s, content)
+
 
 def slots_as(slots_enu_m: Mapping[int, Vector3]) -> FormationRequest:
     return FormationRequest(None, None, None, 0.0, 1.0, slots_enu_m)

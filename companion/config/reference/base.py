@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil, floor, hypot
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 from msgspec import Meta
 from msgspec.structs import replace
@@ -41,6 +41,15 @@ PERIOD = Asked("--period", "of one lap of a circle or figure 8, seconds", "Perio
 RAMP = Asked("--ramp", "until a circle or figure 8 reaches its speed, seconds")
 SPEED = Asked("--speed", "limit for waypoints or a target, m/s", "Speed")
 ACCELERATION = Asked("--acceleration", "limit for waypoints or a target, m/s^2")
+
+
+class Slower(NamedTuple):
+    """A key, what it asks for, and what was expected, in words and as values of this key and those beside it."""
+
+    key: str
+    asks: str
+    expected: str
+    accepts: tuple[tuple[str, float], ...]
 
 
 class BaseReference(Section, frozen=True):
@@ -125,20 +134,20 @@ class BaseReference(Section, frozen=True):
         del slots_turn
         return []
 
-    def excess(self, limit: str, most: float, times: float) -> tuple[str, str, str]:
-        """(key, what asks for too much, advice) where it is this many times too fast for `most` of a limit."""
+    def excess(self, limit: str, most: float, times: float) -> Slower:
+        """Where it is this many times too fast for `most` of a limit."""
         raise NotImplementedError
 
-    def slower_pace(self, times: float) -> tuple[str, str, str]:
-        """(key, its value, advice) where it must take this many times longer."""
+    def slower_pace(self, times: float) -> Slower:
+        """Where it must take this many times longer."""
         raise NotImplementedError
 
     def turning_s(self) -> Sequence[float]:
         """Times at which the turn of its course is judged, for a formation that turns with it."""
         return ()
 
-    def slower_turn(self, times: float) -> tuple[str, str, str]:
-        """(key, its value, advice) where its course must turn so many times slower."""
+    def slower_turn(self, times: float) -> Slower:
+        """Where its course must turn so many times slower."""
         return self.slower_pace(times)
 
     def largest_climb(self) -> tuple[float, float]:
@@ -178,21 +187,22 @@ class LappingReference(BaseReference, frozen=True, kw_only=True):
     def curve_s(self) -> float:
         return self.ramp_s + self.period_s
 
-    def excess(self, limit: str, most: float, times: float) -> tuple[str, str, str]:
+    def excess(self, limit: str, most: float, times: float) -> Slower:
         del limit, most
-        return (
-            "period_s",
-            f"{self.period_s:g} s with ramp_s {self.ramp_s:g} asks",
-            f"at least {self.period_s * times + 0.05:.1f} s with ramp_s {self.ramp_s * times + 0.05:.1f},"
-            " or a smaller figure",
-        )
+        slower, asks = self.slower_pace(times), f"{self.period_s:g} s with ramp_s {self.ramp_s:g} asks"
+        return Slower(slower.key, asks, f"{slower.expected}, or a smaller figure", slower.accepts)
 
-    def slower_pace(self, times: float) -> tuple[str, str, str]:
+    def slower_pace(self, times: float) -> Slower:
         period_s, ramp_s = (ceil(seconds * times * 10.0) / 10.0 for seconds in (self.period_s, self.ramp_s))
-        return "period_s", f"{self.period_s:g} s", f"at least {period_s:g} s with ramp_s {ramp_s:g}"
+        expected, accepts = (
+            f"at least {period_s:g} s with ramp_s {ramp_s:g}",
+            (("period_s", period_s), ("ramp_s", ramp_s)),
+        )
+        return Slower("period_s", f"{self.period_s:g} s", expected, accepts)
 
-    def slower_turn(self, times: float) -> tuple[str, str, str]:
-        return "period_s", f"{self.period_s:g} s", f"at least {self.period_s * times + 0.05:.1f} s"
+    def slower_turn(self, times: float) -> Slower:
+        period_s = ceil(self.period_s * times * 10.0) / 10.0
+        return Slower("period_s", f"{self.period_s:g} s", f"at least {period_s:g} s", (("period_s", period_s),))
 
     def slow_down(self, times: float) -> Self:
         return replace(self, period_s=float(ceil(self.period_s * times)))
@@ -225,15 +235,20 @@ class LimitedReference(BaseReference, frozen=True, kw_only=True):
     def largest_pace(self) -> tuple[float, float]:
         return self.limits
 
-    def excess(self, limit: str, most: float, times: float) -> tuple[str, str, str]:
+    def excess(self, limit: str, most: float, times: float) -> Slower:
         del times
-        return limit, f"{getattr(self, limit):g} asks", f"at most {floor(most * 100.0) / 100.0:g}"
+        accepted = floor(most * 100.0) / 100.0
+        return Slower(limit, f"{getattr(self, limit):g} asks", f"at most {accepted:g}", ((limit, accepted),))
 
-    def slower_pace(self, times: float) -> tuple[str, str, str]:
+    def slower_pace(self, times: float) -> Slower:
         speed_m_s = floor(self.max_speed_m_s / times * 1000.0) / 1000.0
         acceleration_m_s2 = floor(self.max_acceleration_m_s2 / times**2 * 1000.0) / 1000.0
-        advice = f"at most {acceleration_m_s2:g} m/s^2 with max_speed_m_s {speed_m_s:g}"
-        return "max_acceleration_m_s2", f"{self.max_acceleration_m_s2:g} m/s^2", advice
+        return Slower(
+            "max_acceleration_m_s2",
+            f"{self.max_acceleration_m_s2:g} m/s^2",
+            f"at most {acceleration_m_s2:g} m/s^2 with max_speed_m_s {speed_m_s:g}",
+            (("max_speed_m_s", speed_m_s), ("max_acceleration_m_s2", acceleration_m_s2)),
+        )
 
     def slow_down(self, times: float) -> Self:
         return replace(

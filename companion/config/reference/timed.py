@@ -11,7 +11,7 @@ from typing import Annotated, Self
 from msgspec import Meta
 from msgspec.structs import replace
 
-from companion.config.reference.base import BaseReference, any_motions
+from companion.config.reference.base import BaseReference, Slower, any_motions
 from companion.geometry.curves import Curve, Harmonic, Motion
 from companion.types.values import Vector3
 
@@ -81,12 +81,13 @@ class TimedReference(BaseReference, frozen=True, kw_only=True):
         times_s = (time_s / self.pace for time_s in self.given()[1])
         return [time_s for time_s in times_s if hypot(*curve(time_s)[1][:2]) > SLOWEST_TURN_M_S]
 
-    def excess(self, limit: str, most: float, times: float) -> tuple[str, str, str]:
+    def excess(self, limit: str, most: float, times: float) -> Slower:
         del limit, most
-        return "pace", f"{self.pace:g} asks", f"at most {self._slower(times):g}"
+        return self.slower_pace(times)._replace(asks=f"{self.pace:g} asks")
 
-    def slower_pace(self, times: float) -> tuple[str, str, str]:
-        return "pace", f"{self.pace:g}", f"at most {self._slower(times):g}"
+    def slower_pace(self, times: float) -> Slower:
+        pace = self._slower(times)
+        return Slower("pace", f"{self.pace:g}", f"at most {pace:g}", (("pace", pace),))
 
     def slow_down(self, times: float) -> Self:
         return replace(self, pace=self._slower(times))

@@ -7,6 +7,9 @@ ABORT is idempotent. It is admitted from any operator, with any number and sessi
 number. The other commands of its tick are not executed, not even when they are sent again.
 
 A command whose check takes several ticks is answered when it is done.
+
+A check is a command that is judged and not executed. It needs the same session, and the operator who may command, and takes
+nothing: neither command nor a number. So it is judged as often as it is sent.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from companion.core.safety.failsafe import POSITION_IN_DOUBT, flags_notice
 from companion.core.safety.fleet_checks import FleetChecks, id_shared
 from companion.core.safety.safeguard import Safety
 from companion.types.autopilot import VehicleState
-from companion.types.commands import NUMBERS_AHEAD, Command, CommandName, CommandReply
+from companion.types.commands import NOT_CHECKED, NUMBERS_AHEAD, Command, CommandName, CommandReply
 from companion.types.flight import OF_THE_FLEET, RULES, HealthFlag, Role
 from companion.types.notices import Answer, Code, Notice, refuse
 
@@ -32,7 +35,10 @@ ABORT_NUMBER = 0  # replaces the number of an abort, which another command may h
 
 
 class Intake(Struct, frozen=True, gc=False):
-    """The commands of one tick. `admitted` are to be executed; `answers` are in the order of `received`, None where due."""
+    """The commands of one tick. `admitted` are to be executed; `answers` are in the order of `received`, None where due.
+
+    `checks` are to be answered alone, under numbers below ABORT_NUMBER; `refused_checks` are answered already.
+    """
 
     received: tuple[Command, ...] = ()
     admitted: tuple[Command, ...] = ()
@@ -40,6 +46,8 @@ class Intake(Struct, frozen=True, gc=False):
     events: tuple[Notice, ...] = ()
     holder: str = ""
     number: int = 0
+    checks: tuple[Command, ...] = ()
+    refused_checks: tuple[tuple[Command, Answer], ...] = ()
 
 
 class CommandArbitration:
@@ -55,11 +63,15 @@ class CommandArbitration:
         self.idle = Intake()  # the result of every tick without commands
         self._unanswered: dict[int, Command] = {}  # commands whose check takes several ticks, by number
         self._aborted_by = ""  # operator of an abort since the last other command
+        self._unanswered_checks: dict[int, Command] = {}  # by the number that they have within the agent
+        self._check_number = ABORT_NUMBER
 
-    def step(self, commands: tuple[Command, ...]) -> Intake:
-        """Admit or answer the commands of one tick."""
-        if not commands:
-            return self.idle
+    def step(self, commands: tuple[Command, ...], checks: tuple[Command, ...] = ()) -> Intake:
+        """Admit or answer the commands of one tick, and the checks of commands."""
+        intake = self._admit_all(commands) if commands else self.idle
+        return self._with_checks(intake, checks) if checks else intake
+
+    def _admit_all(self, commands: tuple[Command, ...]) -> Intake:
         aborts = any(command.name is CommandName.ABORT for command in commands)
         admitted: list[Command] = []
         answers: list[Answer | None] = []
@@ -82,6 +94,23 @@ class CommandArbitration:
         self.idle = Intake(holder=self.holder, number=self.number)
         return Intake(commands, tuple(admitted), tuple(answers), events, self.holder, self.number)
 
+    def _with_checks(self, intake: Intake, checks: tuple[Command, ...]) -> Intake:
+        """One that is sent again before its answer is judged once."""
+        judged, refused = [], []
+        for check in checks:
+            if check in self._unanswered_checks.values():
+                continue
+            refusal = self._refusal_of_sender(check)
+            if check.name in NOT_CHECKED:
+                refusal = Notice(Code.COMMAND_MALFORMED, "has no check")
+            if refusal:
+                refused.append((check, Answer(False, refusal.about(check.name))))
+                continue
+            self._check_number -= 1
+            self._unanswered_checks[self._check_number] = check
+            judged.append(replace(check, number=self._check_number))
+        return replace(intake, checks=tuple(judged), refused_checks=tuple(refused))
+
     def replies(
         self, vehicle_id: int, intake: Intake, answers: Iterable[tuple[int, Answer]]
     ) -> tuple[CommandReply, ...]:
@@ -103,6 +132,11 @@ class CommandArbitration:
                 self._unanswered.pop(number, None)
         answered = [number for number in self._unanswered if number in by_number]
         replies += [_reply(vehicle_id, self._unanswered.pop(number), by_number[number]) for number in answered]
+        replies += [_reply(vehicle_id, check, answer) for check, answer in intake.refused_checks]
+        checked = [number for number in self._unanswered_checks if number in by_number]
+        replies += [
+            _reply(vehicle_id, self._unanswered_checks.pop(number), _checked(by_number[number])) for number in checked
+        ]
         return tuple(replies)
 
     def admit(self, command: Command) -> tuple[Answer | None, tuple[Notice, ...]]:
@@ -132,12 +166,17 @@ class CommandArbitration:
         text = f"{command.operator} aborts; {self.holder or 'no operator'} holds command"
         return (Notice(Code.ABORT_BY_OTHER, text),)
 
-    def _refusal(self, command: Command) -> Notice | None:
+    def _refusal_of_sender(self, command: Command) -> Notice | None:
         if command.session != self._session:
             return Notice(Code.WRONG_SESSION, "it is for an earlier start of this vehicle's agent; give it again")
         if command.name is not CommandName.TAKE and self.holder not in ("", command.operator):
             text = f"{self.holder} holds command; take it over with: companion fleet take"
             return Notice(Code.OTHER_HOLDS_COMMAND, text)
+        return None
+
+    def _refusal(self, command: Command) -> Notice | None:
+        if refusal := self._refusal_of_sender(command):
+            return refusal
         if command.number <= self.number:
             text = f"old command: number {command.number} is not newer than {self.number}"
             return Notice(Code.COMMAND_OLD, text)
@@ -156,7 +195,16 @@ class CommandArbitration:
 
 def _reply(vehicle_id: int, command: Command, answer: Answer) -> CommandReply:
     notice = answer.notice
-    return CommandReply(vehicle_id, command.number, answer.accepted, notice.code, notice.text, command.operator)
+    return CommandReply(
+        vehicle_id, command.number, answer.accepted, notice.code, notice.text, command.operator, notice.accepts
+    )
+
+
+def _checked(answer: Answer) -> Answer:
+    """The answer to a check, by what the stages say to the command."""
+    if not answer.accepted:
+        return answer
+    return Answer(True, Notice(Code.CHECK_PASSED, f"would be accepted: {answer.notice.text}"))
 
 
 NEEDS_NOTHING = (CommandName.LAND, CommandName.HOLD, CommandName.DISARM)
@@ -177,16 +225,19 @@ class CommandDispatcher:
         guidance: Guidance,
         safety: Safety,
     ) -> tuple[PhaseCommand, ...]:
-        """The admitted commands that RULES or ABORT cover, each with what refuses it or goes with it as a warning."""
-        if not intake.admitted:
-            return ()
-        return tuple(
+        """The admitted commands that RULES or ABORT cover, each with what refuses it or goes with it as a warning.
+
+        Then the checks of such commands.
+        """
+        admitted, checks = (
             [
                 self._cleared(command, vehicle, fitness, consensus, guidance, safety)
-                for command in intake.admitted
+                for command in commands
                 if command.name in RULES or command.name is CommandName.ABORT
             ]
+            for commands in (intake.admitted, intake.checks)
         )
+        return *admitted, *[replace(check, is_check=True) for check in checks]
 
     def _cleared(
         self,

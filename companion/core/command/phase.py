@@ -80,6 +80,7 @@ class PhaseCommand(Struct, frozen=True, gc=False):
     unfit: Notice | None = None
     refusal: Notice | None = None
     warning: Notice | None = None
+    is_check: bool = False  # it is answered, and changes nothing
 
 
 class PhaseMachine:
@@ -107,6 +108,13 @@ class PhaseMachine:
 
     def command(self, name: CommandName, now_s: float, vehicle: VehicleState) -> Answer:
         """(accepted, reason). A command that is under way or done already is accepted again."""
+        answer = self._answer(name, vehicle)
+        if answer.accepted and not self._is_under_way(name):
+            self._begin(name, now_s, vehicle, _command(name))
+        return answer
+
+    def _answer(self, name: CommandName, vehicle: VehicleState) -> Answer:
+        """The answer by phase and vehicle. It changes nothing."""
         if vehicle.autopilot is None:
             return refuse(Code.NO_HEARTBEAT, f"{name}: no HEARTBEAT has come from the autopilot yet")
         rule = RULES[name]
@@ -120,10 +128,14 @@ class PhaseMachine:
                 return refuse(Code.NOT_ON_GROUND, f"{name} needs the vehicle on the ground")
             return refuse(Code.NOT_IN_AIR, f"{name} needs the vehicle in the air")
         try:
-            self._begin(name, now_s, vehicle, _command(name))
+            self._procedure(name, vehicle)
         except ValueError as error:
             return refuse(Code.ALTITUDE_UNKNOWN, f"{name}: {error}")
         return accept(Code.PHASE_CHANGED, f"{name} begins")
+
+    def _procedure(self, name: CommandName, vehicle: VehicleState) -> Procedure:
+        """Raises ValueError where it needs an altitude that is not known."""
+        return profile_of(vehicle, self._profiles).procedures[name](vehicle, self._takeoff_height_m)
 
     def _is_under_way(self, name: CommandName) -> bool:
         """Or done already."""
@@ -182,6 +194,9 @@ class PhaseMachine:
         for request in guidance_requests:
             self._apply(request, now_s, vehicle, commanded)
         for command in commands:
+            if command.is_check:
+                answers.append((command.number, self._judge(command, vehicle)))
+                continue
             answer = self._execute(command, now_s, vehicle)
             answers.append((command.number, answer))
             commanded = commanded or answer.accepted
@@ -217,19 +232,29 @@ class PhaseMachine:
         )
 
     def _execute(self, command: PhaseCommand, now_s: float, vehicle: VehicleState) -> Answer:
-        name, warning = command.name, command.warning
+        name = command.name
         if name is C.ABORT:
             return self.abort(now_s, vehicle)
-        if command.unfit and (self._is_under_way(name) or self.phase in RULES[name].allowed):
+        answer, warned = self._judge(command, vehicle), self._warning(command)
+        if answer.accepted:
+            self.command(name, now_s, vehicle)
+            self.events += [warned] if warned else []
+        return answer
+
+    def _judge(self, command: PhaseCommand, vehicle: VehicleState) -> Answer:
+        """The answer to a command other than ABORT. It changes nothing."""
+        name, allowed = command.name, self.phase in RULES[command.name].allowed
+        if command.unfit and (self._is_under_way(name) or allowed):
             return Answer(False, command.unfit)
-        if command.refusal and self.phase in RULES[name].allowed:
+        if command.refusal and allowed:
             return Answer(False, command.refusal)
-        warned = warning if self.phase in RULES[name].allowed else None
-        answer = self.command(name, now_s, vehicle)
+        answer, warned = self._answer(name, vehicle), self._warning(command)
         if not answer.accepted or warned is None:
             return answer
-        self.events.append(warned)
         return Answer(True, Notice(warned.code, f"{answer.notice.text}; {warned.text}"))
+
+    def _warning(self, command: PhaseCommand) -> Notice | None:
+        return command.warning if self.phase in RULES[command.name].allowed else None
 
     def _apply(self, request: PhaseRequest, now_s: float, vehicle: VehicleState, commanded: bool) -> None:
         match request.kind:
@@ -334,7 +359,7 @@ class PhaseMachine:
         brakes_within_s: float = BRAKES_WITHIN_S,
     ) -> None:
         rule = RULES[name]
-        procedure = profile_of(vehicle, self._profiles).procedures[name](vehicle, self._takeoff_height_m)
+        procedure = self._procedure(name, vehicle)
         leaving = self.streams(vehicle) and rule.via is not P.ENGAGE
         leaves_formation = self.phase is P.FORMATION  # before it, the present attitude is streamed anyway
         self._began_in, before = self.phase, self.handing_over

@@ -56,6 +56,7 @@ from companion.types.peers import LostVehicle, PeerPacket, ReceivedPeerPacket
 LEADER, FOLLOWER, FORMATION = Role.LEADER, Role.FOLLOWER, FlightPhase.FORMATION
 LEADER_AWAITED, LEADER_LOST = HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST
 EPOCHS_PER_S = 1.0  # changes of leader that may be missed in time
+NONE: tuple[tuple[tuple[int, Answer], ...], tuple[Notice, ...]] = ((), ())  # no answers and no events
 FORMING_S = 2.0  # so long a formation may take to come together
 
 
@@ -186,16 +187,16 @@ class ConsensusStage:
         commands: Collection[Command] = (),
         refusal_to_lead: Notice | None = None,
         fit_to_lead: bool = False,
+        checks: Collection[Command] = (),
     ) -> Consensus:
-        """The second part: Algorithm 1 and the neighbour set. `packets` came since `receive`.
+        """The second part: Algorithm 1 and the neighbour set. `packets` came since `receive`; `checks` are only answered.
 
-        A commanded role comes first: one tick, its packet included, is of one role. `refusal_to_lead` is why this vehicle
-        must not become leader, `fit_to_lead` that it flies in formation without a failsafe; both of the last tick.
+        A commanded role comes first: one tick, its packet included, is of one role. `refusal_to_lead` is why this vehicle must
+        not become leader, `fit_to_lead` that it flies in formation without a failsafe; both of the last tick.
         """
         leadership, sets, in_formation = self.leadership, self._sets, flight.in_formation
-        answers, events = (
-            self._command_leads(now_s, commands, vehicle, flight, refusal_to_lead) if commands else ((), ())
-        )
+        answers, events = self._command_leads(now_s, commands, vehicle, flight, refusal_to_lead) if commands else NONE
+        answers += self._check_leads(checks, vehicle, flight, refusal_to_lead) if checks else ()
         self._clock.on_ground = not vehicle.armed
         epochs_up_to = self._epochs_up_to(now_s)
         if packets:
@@ -318,13 +319,30 @@ class ConsensusStage:
                 events += changes
         return tuple(answers), tuple(events)
 
+    def _check_leads(
+        self, checks: Collection[Command], vehicle: VehicleState, flight: Flight, refusal_to_lead: Notice | None
+    ) -> tuple[tuple[int, Answer], ...]:
+        """The answers to checks by number."""
+        answers = []
+        for check in checks:
+            if isinstance(lead := check.content, Lead):
+                refusal = self._refusal_of_lead(lead, vehicle, flight, refusal_to_lead)
+                answers.append((check.number, Answer(False, refusal) if refusal else self.leadership.judge(lead)))
+        return tuple(answers)
+
     def _command_lead(
         self, lead: Lead, vehicle: VehicleState, flight: Flight, refusal_to_lead: Notice | None
     ) -> tuple[Answer, tuple[Notice, ...]]:
+        refusal = self._refusal_of_lead(lead, vehicle, flight, refusal_to_lead)
+        return (Answer(False, refusal), ()) if refusal else self.leadership.command(lead)
+
+    def _refusal_of_lead(
+        self, lead: Lead, vehicle: VehicleState, flight: Flight, refusal_to_lead: Notice | None
+    ) -> Notice | None:
         refusal = refusal_of_lead(flight, vehicle)
         if not refusal and refusal_to_lead and self._own_id in lead.leaders:
             refusal = refusal_to_lead.about("lead")
-        return (Answer(False, refusal), ()) if refusal else self.leadership.command(lead)
+        return refusal
 
     def _relays(
         self,

@@ -58,13 +58,19 @@ class Leadership:
 
     def command(self, lead: Lead) -> tuple[Answer, tuple[Notice, ...]]:
         """((accepted, reason), events). A repeated command of the present term is accepted again."""
-        if lead == self._commanded and self.term == (lead.epoch, 0):
-            return accept(Code.ALREADY_DONE, f"already {self.role} in epoch {self.epoch}"), ()
-        if refusal := self._refusal(lead):
-            return Answer(False, refusal.about("lead")), ()
+        answer = self.judge(lead)
+        if answer.notice.code is not Code.ROLE_CHANGED:
+            return answer, ()
         self._commanded = lead
-        events = self._enter((lead.epoch, 0), self._role_in(lead), "commanded")
-        return accept(Code.ROLE_CHANGED, f"{self.role} in epoch {self.epoch}"), events
+        return answer, self._enter((lead.epoch, 0), self._role_in(lead), "commanded")
+
+    def judge(self, lead: Lead) -> Answer:
+        """The answer to this command. It changes nothing."""
+        if lead == self._commanded and self.term == (lead.epoch, 0):
+            return accept(Code.ALREADY_DONE, f"already {self.role} in epoch {self.epoch}")
+        if refusal := self._refusal(lead):
+            return Answer(False, refusal.about("lead"))
+        return accept(Code.ROLE_CHANGED, f"{self._role_in(lead)} in epoch {lead.epoch}")
 
     def claim(self, rank: int) -> tuple[Notice, ...]:
         """Become leader of the next epoch as the successor of this rank; `Succession` decides when."""

@@ -23,7 +23,7 @@ from companion.types.autopilot import VehicleState
 from companion.types.commands import Command, Content, ReferenceChange
 from companion.types.flight import Flight, FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, Term
-from companion.types.notices import Answer, Code, Notice, refuse
+from companion.types.notices import Answer, Code, Judged, Notice, refuse
 from companion.types.peers import PeerPacket
 from companion.types.steps import Steps
 from companion.types.values import Vector3
@@ -74,6 +74,7 @@ class Changes:
         self._refused_number: int | None = None  # number of the leader's change that was refused last; reported once
         self.checks = PacedChecks(STEPS_PER_TICK)
         self._queue: list[Command] = []  # commands that wait for their check, one each tick
+        self._check: Command | None = None  # that is being judged, and is not carried out
         self._heard: tuple[int, FormationChange] | None = None  # the leader and its change that is being checked
         self._last_heard_id = 0  # the leader whose change was judged last
         self._next_heard_s = -inf
@@ -81,8 +82,8 @@ class Changes:
         # Nothing is under way: without a command or a change of a leader no step is needed.
         self.is_idle = gap_filling is None
 
-    def step(self, now: Situation, commands: Collection[Command]) -> Changed:
-        """Apply commands first, then changes of leaders, then this vehicle's own proposal.
+    def step(self, now: Situation, commands: Collection[Command], checks: Collection[Command] = ()) -> Changed:
+        """Apply commands first, then changes of leaders, then this vehicle's own proposal. Last come checks of commands.
 
         The answer to a command may come ticks later.
         """
@@ -97,23 +98,45 @@ class Changes:
                 text = f"{command.name}: other changes are being checked; give it again"
                 answers.append((command.number, refuse(Code.CHANGE_IN_PROGRESS, text)))
         if self._queue:
-            answer = self._judge(self._queue[0].content, now)
+            answer = self._judge(self._queue[0].content, now).carried_out()
             if answer is not BEING_CHECKED:
                 answers.append((self._queue.pop(0).number, answer))
         events = self._adopt(now)
         if self._gap_filling:
             events += self._fill_gap(self._gap_filling, now)
-        else:
-            self.is_idle = not self._queue and self._heard is None and self.checks.is_idle
+        answers += self._answer_checks(now, checks)
+        if not self._gap_filling:
+            waits = self._queue or self._check or self._heard is not None
+            self.is_idle = not waits and self.checks.is_idle
         return Changed(tuple(answers), events)
 
-    def _judge(self, content: Content | None, now: Situation) -> Answer:
-        if isinstance(content, FormationChange):
-            return self._change_formation(content, now, is_command=True)
-        assert isinstance(content, ReferenceChange)
-        return self._change_reference(content, now)
+    def _answer_checks(self, now: Situation, checks: Collection[Command]) -> list[tuple[int, Answer]]:
+        """Of checks with content one is judged at a time, with what is left of the tick: they delay no change.
 
-    def _change_formation(self, change: FormationChange, now: Situation, is_command: bool = False) -> Answer:
+        A newer one takes its place, so that none has to wait for one that takes long.
+        """
+        answers = []
+        for check in checks:
+            if not isinstance(check.content, FormationChange | ReferenceChange):
+                continue
+            if self._check:
+                text = f"{self._check.name}: a newer check came before this one was done"
+                answers.append((self._check.number, refuse(Code.CHANGE_IN_PROGRESS, text)))
+            self._check = check
+        if self._check:
+            answer = self._judge(self._check.content, now).answer
+            if answer is not BEING_CHECKED:
+                answers.append((self._check.number, answer))
+                self._check = None
+        return answers
+
+    def _judge(self, content: Content | None, now: Situation) -> Judged:
+        if isinstance(content, FormationChange):
+            return self._judge_formation(content, now, is_command=True)
+        assert isinstance(content, ReferenceChange)
+        return self._judge_reference(content, now)
+
+    def _judge_formation(self, change: FormationChange, now: Situation, is_command: bool = False) -> Judged:
         def check(airspace: Steps[Notice | None]) -> Notice | Pending | None:
             key = (change, flight.on_ground, flown_slots, self._references and self._references.flown_count)
             return self.checks.ask(key, lambda: self._expensive_refusal(change, airspace, consensus))
@@ -122,18 +145,17 @@ class Changes:
         flown_slots = tuple(sorted(self._slots.slots_enu_m.items()))
         rft_enu_m = self._rft_enu_m(now)
         if flight.on_ground:
-            return self._slots.change_on_ground(change, consensus.peers.flying, rft_enu_m, is_command, check)
+            return self._slots.judge_on_ground(change, consensus.peers.flying, rft_enu_m, is_command, check)
         in_formation = [other for other in consensus.peers.flying if other.phase is FORMATION]
         alone = flight.phase is not FORMATION
         others = in_formation if alone else ()
-        answer = self._slots.change(change, consensus.lead.reference_s, others, rft_enu_m, is_command, check)
-        if answer.notice.code is not Code.FORMATION_ACCEPTED or alone:
-            return answer
+        verdict = self._slots.judge(change, consensus.lead.reference_s, others, rft_enu_m, is_command, check)
+        if verdict.answer.notice.code is not Code.FORMATION_ACCEPTED or alone:
+            return verdict
         tracks = self._tracks_of_change(change, consensus, now.fleet_enu_m)
         if refusal := self._in_the_way(tracks, consensus):
-            self._slots.withdraw()
-            return Answer(False, refusal.about("formation"))
-        return answer
+            return Judged(Answer(False, refusal.about("formation")))
+        return verdict
 
     def _tracks_of_change(self, change: FormationChange, consensus: Consensus, fleet_enu_m: Vector3) -> Tracks:
         """Tracks of the vehicles in formation while they change it, about the RFT where this vehicle knows it."""
@@ -165,12 +187,12 @@ class Changes:
         reason = yield from self._references.refusal_of_slots(dict(change.slots_enu_m))
         return None if reason is None else Notice(Code.SLOTS_NOT_FOLLOWED, reason)
 
-    def _change_reference(self, change: ReferenceChange, now: Situation) -> Answer:
+    def _judge_reference(self, change: ReferenceChange, now: Situation) -> Judged:
         if self._references is None:
             text = "reference: this vehicle may not lead and has no reference"
-            return refuse(Code.REFERENCE_NOT_ALLOWED, text)
+            return Judged(refuse(Code.REFERENCE_NOT_ALLOWED, text))
         flight, consensus, slots_enu_m = now.flight, now.consensus, self._slots.slots_enu_m
-        answer = self._references.change(
+        verdict, track_enu_m = self._references.judge(
             change,
             consensus.lead.reference_s,
             slots_enu_m,
@@ -179,15 +201,12 @@ class Changes:
             flight.in_formation,
             self.checks,
         )
-        if answer.notice.code is not Code.REFERENCE_ACCEPTED or flight.phase is not FORMATION:
-            return answer
-        if not (track := self._references.waiting_track_enu_m(slots_enu_m)):
-            return answer
-        tracks = tracks_about(track, slots_enu_m, members(self._own_id, consensus.peers.flying))
+        if not track_enu_m or flight.phase is not FORMATION:
+            return verdict
+        tracks = tracks_about(track_enu_m, slots_enu_m, members(self._own_id, consensus.peers.flying))
         if refusal := self._in_the_way(tracks, consensus):
-            self._references.withdraw()
-            return Answer(False, refusal.about("reference"))
-        return answer
+            return Judged(Answer(False, refusal.about("reference")))
+        return verdict
 
     def _rft_enu_m(self, now: Situation) -> list[Vector3]:
         """Positions of the RFT as far as this vehicle knows them: all of its reference plan, or where the fleet is now."""
@@ -215,7 +234,7 @@ class Changes:
             heard = next((one for one in lacked if one[0] > self._last_heard_id), lacked[0])
             self._last_heard_id, self._next_heard_s = heard[0], now.now_s + HEARD_PERIOD_S
         vehicle_id, change = heard
-        answer = self._change_formation(change, now)
+        answer = self._judge_formation(change, now).carried_out()
         self._heard = heard if answer is BEING_CHECKED else None
         if answer is BEING_CHECKED:
             return ()
@@ -244,7 +263,7 @@ class Changes:
         )
         if proposal.change is None:
             return proposal.events
-        answer = self._change_formation(proposal.change, now)
+        answer = self._judge_formation(proposal.change, now).carried_out()
         self._proposal = Proposal(proposal.gone_id, proposal.change) if answer is BEING_CHECKED else None
         if answer is BEING_CHECKED:
             return proposal.events

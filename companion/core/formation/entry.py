@@ -62,6 +62,14 @@ class FormationEntry:
         fleet, _ = self._fleet(now, reference)
         return None, self._together.crossing(now, fleet, path)
 
+    def judge_check(self, now: Entering, reference: FormationState | None) -> tuple[Notice | None, Notice | None]:
+        """As `judge_command`, for a check of that command: nothing is begun."""
+        before = self._joins, self._commanded_s, self._check_s
+        try:
+            return self.judge_command(now, reference)
+        finally:
+            self._joins, self._commanded_s, self._check_s = before
+
     def path(self, now: Entering, reference: FormationState | None) -> Path | None:
         """From here into the own slot; None where the law alone flies. Raises Refused where there is no path."""
         if self._joins:

@@ -87,14 +87,15 @@ class GuidanceStage:
         consensus: Consensus,
         commands: Collection[Command],
         targets: Iterable[ReceivedTarget],
+        checks: Collection[Command] = (),
     ) -> Guidance:
-        """Slot, heading and R of this tick, after the changes that commands and peers bring."""
+        """Slot, heading and R of this tick, after the changes that commands and peers bring. `checks` bring none."""
         slots, heading, references = self._slots, self._heading, self.references
         events = () if vehicle.armed else self._restart()
         changed = NOTHING_CHANGED
         passed_on = [peer for peer in consensus.peers.flying if peer.change is not None]
-        if commands or passed_on or not self.changes.is_idle:
-            changed = self.changes.step(Situation(now_s, vehicle, flight, consensus, self._slot), commands)
+        if commands or passed_on or not self.changes.is_idle or checks:
+            changed = self.changes.step(Situation(now_s, vehicle, flight, consensus, self._slot), commands, checks)
             events += changed.events
         reference_s, leads = consensus.lead.reference_s, consensus.lead.role is LEADER
         follows = flight.phase is FORMATION and not leads
@@ -115,10 +116,9 @@ class GuidanceStage:
         if heading:
             self._turn(heading, now_s, flight, consensus, rft)
         refusal_to_enter, warning_to_enter = None, None
-        if flight.phase in MAY_FORM and _forms(commands):
-            refusal_to_enter, warning_to_enter = self._entry.judge_command(
-                self._entering(now_s, vehicle, consensus), rft
-            )
+        if flight.phase in MAY_FORM and (_forms(commands) or _forms(checks)):
+            judge = self._entry.judge_command if _forms(commands) else self._entry.judge_check
+            refusal_to_enter, warning_to_enter = judge(self._entering(now_s, vehicle, consensus), rft)
         return Guidance(
             slot=self._slot,
             plan_slot=slots.flown,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import dist, hypot
+from math import dist, floor, hypot
 
 from companion.core.reference.blend import reference_box
 from companion.core.reference.target import Box
@@ -69,6 +69,23 @@ class FormationLimits:
                 text = f"needs {needs_m:.1f} m along {name}; the fence is {width_m:g} m wide"
                 return Notice(Code.SLOT_OUTSIDE_FENCE, text)
         return None
+
+    def scale_inside(self, slots_enu_m: Slots, rft_enu_m: Sequence[Vector3]) -> float | None:
+        """The largest factor on these slots with which they are inside the fence at all of these positions of the RFT.
+
+        None where the RFT itself is not, or the vehicles would come too near to each other.
+        """
+        corners, scale = [corner for _, corner in self._corners(slots_enu_m)], 1.0
+        for axis, (least, most) in enumerate(zip(*self.fence, strict=True)):
+            low_m, high_m = min(corner[axis] for corner in corners), max(corner[axis] for corner in corners)
+            needs = [(high_m - low_m, most - least), (high_m, most - least), (-low_m, most - least)]
+            if rft_enu_m:
+                needs += [(high_m, most - max(r[axis] for r in rft_enu_m))]
+                needs += [(-low_m, min(r[axis] for r in rft_enu_m) - least)]
+            scale = min(scale, *(room_m / needs_m for needs_m, room_m in needs if needs_m > ROUNDING_M), 1.0)
+        scale = floor(scale * 1000.0) / 1000.0
+        scaled_m = {i: scaled(slot, scale) for i, slot in slots_enu_m.items()}
+        return scale if scale > 0.0 and self.refusal_of_distance(scaled_m) is None else None
 
     def airspace_steps(
         self, before_enu_m: Slots, after_enu_m: Slots, on_the_way_enu_m: Iterable[Vector3], rft_enu_m: Iterable[Vector3]

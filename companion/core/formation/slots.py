@@ -12,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from math import ceil
 
+from msgspec.structs import replace
+
 from companion.core.formation.limits import FormationLimits
 from companion.core.formation.paths import Path
 from companion.core.paced import BEING_CHECKED, PENDING, Pending
@@ -21,7 +23,7 @@ from companion.geometry.formations import reach_m
 from companion.geometry.vectors import plus, scaled
 from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FlownSlot, FormationChange
-from companion.types.notices import Answer, Code, Notice, accept
+from companion.types.notices import Answer, Code, Judged, Notice, accept
 from companion.types.peers import PeerPacket
 from companion.types.steps import Steps, whole
 from companion.types.values import MAX_CHANGE_S, MIN_CHANGE_S, ZERO3, Vector3
@@ -53,7 +55,7 @@ class SlotPlan:
         self._pace = 1.0  # of the change; 0 while it waits
         self._behind_s = 0.0  # by waiting
 
-    def change(
+    def judge(
         self,
         change: FormationChange,
         reference_s: float,
@@ -61,8 +63,8 @@ class SlotPlan:
         rft_enu_m: Sequence[Vector3],
         is_command: bool = False,
         check: Check = whole,
-    ) -> Answer:
-        """(accepted, reason), in flight. `others` are the peers in formation where this vehicle is not in it, else empty.
+    ) -> Judged:
+        """Of a change in flight; nothing is changed yet. `others` are the peers in formation where this vehicle is not in it.
 
         A command may also have a smaller number than the formation flown: that was wrong, if other vehicles have a smaller one.
 
@@ -73,37 +75,36 @@ class SlotPlan:
         tick.
         """
         if change in (self._agreement.waiting, self._flown):
-            return accept(Code.FORMATION_KNOWN, f"formation {change.number} is known")
+            return Judged(accept(Code.FORMATION_KNOWN, f"formation {change.number} is known"))
         if _is_flown(change, others):
-            return self._adopt_flown(change)
+            return self._judge_flown(change)
         refusal = (
             self._refusal(change, rft_enu_m, is_command)
             or self._refusal_of_change(change, reference_s)
             or check(self._airspace_steps(change, reference_s, rft_enu_m))
         )
         if refusal is PENDING:
-            return BEING_CHECKED
+            return Judged(BEING_CHECKED)
         if refusal:
-            return Answer(False, refusal.about("formation"))
-        self._agreement.waiting = change
+            return Judged(Answer(False, refusal.about("formation")))
         text = f"formation {change.number} begins in {change.begins_s - reference_s:.1f} s"
         if crossing := self.limits.crossing(*self._flown_by_present(change)):
             text += f"; {crossing.text}"
-        return accept(Code.FORMATION_ACCEPTED, text)
+        return Judged(accept(Code.FORMATION_ACCEPTED, text), lambda: self._await(change))
 
-    def change_on_ground(
+    def judge_on_ground(
         self,
         change: FormationChange,
         flying: Collection[PeerPacket],
         rft_enu_m: Sequence[Vector3],
         is_command: bool = False,
         check: Check = whole,
-    ) -> Answer:
-        """(accepted, reason), on the ground, where nothing moves. `flying` are the peers in the air; `check` as in flight."""
+    ) -> Judged:
+        """Of a change on the ground, where nothing moves. `flying` are the peers in the air; `check` as in flight."""
         if change == self._flown:
-            return accept(Code.FORMATION_KNOWN, f"formation {change.number} is known")
+            return Judged(accept(Code.FORMATION_KNOWN, f"formation {change.number} is known"))
         if _is_flown(change, [other for other in flying if other.phase is FlightPhase.FORMATION]):
-            return self._adopt_flown(change)
+            return self._judge_flown(change)
         slots_enu_m = dict(change.slots_enu_m)
         refusal = (
             self._refusal(change, rft_enu_m, is_command)
@@ -111,19 +112,17 @@ class SlotPlan:
             or check(self.limits.airspace_steps(slots_enu_m, slots_enu_m, (), rft_enu_m))
         )
         if refusal is PENDING:
-            return BEING_CHECKED
+            return Judged(BEING_CHECKED)
         if refusal:
-            return Answer(False, refusal.about("formation"))
+            return Judged(Answer(False, refusal.about("formation")))
         if flying:
             text = f"formation {change.number} is adopted here when the others fly it"
-            return accept(Code.FORMATION_ACCEPTED, text)
-        self._take(_begun(change))
-        self._before_enu_m = self.slots_enu_m
-        return accept(Code.FORMATION_ACCEPTED, f"formation {change.number}, on the ground at once")
+            return Judged(accept(Code.FORMATION_ACCEPTED, text))
+        text = f"formation {change.number}, on the ground at once"
+        return Judged(accept(Code.FORMATION_ACCEPTED, text), lambda: self._take_at_once(change))
 
-    def withdraw(self) -> None:
-        """Drop the change that waits."""
-        self._agreement.waiting = None
+    def _await(self, change: FormationChange) -> None:
+        self._agreement.waiting = change
 
     def lacks(self, change: FormationChange, over_own: bool) -> bool:
         """Whether a change passed on by a leader is new here.
@@ -253,18 +252,22 @@ class SlotPlan:
         self._flown, self._agreement.waiting = change, None
         self._movers, self._pace, self._behind_s = set(), 1.0, 0.0
 
-    def _adopt_flown(self, change: FormationChange) -> Answer:
-        """Adopt the formation that others fly, at its end at once: a vehicle outside formation does not move.
+    def _take_at_once(self, change: FormationChange) -> None:
+        """At its end: a vehicle outside formation does not move."""
+        self._take(_begun(change))
+        self._before_enu_m = self.slots_enu_m
+
+    def _judge_flown(self, change: FormationChange) -> Judged:
+        """Of the formation that others fly, which is adopted at once.
 
         The number is not compared: this vehicle may have received a newer change that was cancelled.
         """
         slots_enu_m = dict(change.slots_enu_m)
         refusal = self._refusal_of_form(change) or self.limits.refusal_of_distance(slots_enu_m)
         if refusal:
-            return Answer(False, refusal.about("formation"))
-        self._take(_begun(change))
-        self._before_enu_m = self.slots_enu_m
-        return accept(Code.FORMATION_ACCEPTED, f"formation {change.number}, which the others fly")
+            return Judged(Answer(False, refusal.about("formation")))
+        text = f"formation {change.number}, which the others fly"
+        return Judged(accept(Code.FORMATION_ACCEPTED, text), lambda: self._take_at_once(change))
 
     def _refusal_of_form(self, change: FormationChange) -> Notice | None:
         ids = [vehicle_id for vehicle_id, _ in change.slots_enu_m]
@@ -277,14 +280,18 @@ class SlotPlan:
         too_new = self._agreement.refusal_if_too_new(change.number, self._flown.number)
         return too_new or self.limits.refusal_of_extent(dict(change.slots_enu_m))
 
-    def _refusal(self, change: FormationChange, rft_enu_m: Iterable[Vector3], is_command: bool) -> Notice | None:
+    def _refusal(self, change: FormationChange, rft_enu_m: Sequence[Vector3], is_command: bool) -> Notice | None:
         """The refusal that does not depend on when it begins."""
-        if refusal := (
+        slots_enu_m = dict(change.slots_enu_m)
+        refusal = (
             self._refusal_of_form(change)
             or self._agreement.refusal_if_too_old(change.number, self._flown.number, is_command)
-        ):
-            return refusal
-        return self.limits.refusal_of_positions(dict(change.slots_enu_m), rft_enu_m)
+            or self.limits.refusal_of_positions(slots_enu_m, rft_enu_m)
+        )
+        if refusal and refusal.code is Code.SLOT_OUTSIDE_FENCE:
+            scale = self.limits.scale_inside(slots_enu_m, rft_enu_m)
+            return refusal if scale is None else replace(refusal, accepts=(("scale", scale),))
+        return refusal
 
     def _refusal_of_change(self, change: FormationChange, reference_s: float) -> Notice | None:
         """The refusal of its time, of its slots and of the speed from the formation flown now."""

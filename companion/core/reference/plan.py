@@ -18,7 +18,7 @@ from companion.core.reference.target import TargetLimits, TargetPursuit, Targets
 from companion.types.commands import Described, ReferenceChange
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FormationState, HeldReference
-from companion.types.notices import Answer, Code, Notice, accept, refuse
+from companion.types.notices import Answer, Code, Judged, Notice, accept
 from companion.types.peers import PeerPacket, ReceivedTarget
 from companion.types.steps import Steps, first_steps
 from companion.types.values import ZERO3, Vector3
@@ -52,14 +52,16 @@ class LiveReference:
 
 
 Rft = ReferenceTrajectory | LiveReference
-Read = Callable[[Described, Mapping[int, Vector3]], Steps[Rft]]
-"""(description, slots) -> checked RFT. Raises ValueError with the reason."""
+Read = Callable[[Described, Mapping[int, Vector3]], Steps[Rft | Notice]]
+"""(description, slots) -> checked RFT, or its refusal."""
 RefusalOfSlots = Callable[[Described | None, Mapping[int, Vector3]], Steps[str | None]]
 """(description, None for the configured RFT; slots) -> why the law cannot fly these slots with it."""
 Flown = ReferenceTrajectory | TargetPursuit
 """A function of mission time, or a pursuit that is advanced tick by tick."""
 HandedOver = tuple[Flown, str]
 """An RFT with its hand-over, and a text for the event."""
+Handed = tuple[Flown, Mapping[int, Vector3], HandedOver]
+"""Old RFT, slots, hand-over."""
 
 
 class ReferencePlan:
@@ -75,9 +77,7 @@ class ReferencePlan:
         self._agreement: Agreement[ReferenceChange] = Agreement("reference", Code.REFERENCE_CANCELLED)
         self._rft = self._waiting_rft = first
         self._flown = _from_start(first)
-        self._handed: tuple[Flown, Mapping[int, Vector3], HandedOver] | None = (
-            None  # waiting change: old RFT, slots, hand-over
-        )
+        self._handed: Handed | None = None  # of the change that waits
         self.flown_count = 0  # number of RFTs flown since the agent started
         self._begun_s = 0.0  # mission time at which the RFT flown began
         self._led_by: tuple[int, HeldReference] | None = None  # leader in formation, and its RFT
@@ -117,7 +117,7 @@ class ReferencePlan:
             refusal = yield from self._refusal_of_slots(waiting.reference, slots_enu_m)
         return refusal
 
-    def change(
+    def judge(
         self,
         change: ReferenceChange,
         reference_s: float,
@@ -126,58 +126,58 @@ class ReferencePlan:
         fleet_enu_m: Vector3,
         in_formation: bool = False,
         checks: PacedChecks | None = None,
-    ) -> Answer:
-        """(accepted, reason). `fleet_enu_m` is r of the fleet, derived from this vehicle's own position.
+    ) -> tuple[Judged, list[Vector3]]:
+        """The verdict, and r of an accepted reference with its hand-over, once a second; empty for a followed target.
 
-        `in_formation`: this vehicle forms or flies in formation, where mission time runs. A change replaces one that waits.
+        Nothing is changed yet. `fleet_enu_m` is r of the fleet, derived from this vehicle's own position. `in_formation`: this
+        vehicle forms or flies in formation, where mission time runs. A change replaces one that waits.
         `checks` do the expensive part, after all other refusals: while the answer is BEING_CHECKED, ask again in the next tick.
         """
         if self._has(change):
-            return accept(Code.REFERENCE_KNOWN, f"reference {change.number} is known")
+            return Judged(accept(Code.REFERENCE_KNOWN, f"reference {change.number} is known")), []
         theirs = HeldReference(change.number, begun_s=change.begins_s)
         late = any(other.reference and _is_same(other.reference, theirs) for other in others)
         if refusal := self._refusal(change, reference_s, late, in_formation):
-            return Answer(False, refusal.about("reference"))
+            return Judged(Answer(False, refusal.about("reference"))), []
         slots = tuple(sorted(slots_enu_m.items()))
         key = (json.encode(change), slots, self.flown_count, late)
         found = (checks or PacedChecks()).ask(key, lambda: self._checked(change, dict(slots), late))
         if found is PENDING:
-            return BEING_CHECKED
-        if isinstance(found, str):
-            return refuse(Code.REFERENCE_INVALID, f"reference: {found}")
+            return Judged(BEING_CHECKED), []
+        if isinstance(found, Notice):
+            return Judged(Answer(False, found.about("reference"))), []
         rft, handed = found
         if handed is None:
-            self._take(change, rft, _joined(rft, change.begins_s, fleet_enu_m))
-            self._agreement.waiting = None
-            return accept(Code.REFERENCE_ACCEPTED, f"reference {change.number}, which the leader flies")
-        self._agreement.waiting, self._waiting_rft = change, rft
-        self._handed = (self._flown, dict(slots), handed)
+            text = f"reference {change.number}, which the leader flies"
+            return Judged(accept(Code.REFERENCE_ACCEPTED, text), lambda: self._join(change, rft, fleet_enu_m)), []
         text = f"reference {change.number} begins in {change.begins_s - reference_s:.1f} s"
-        return accept(Code.REFERENCE_ACCEPTED, text)
+        verdict = Judged(
+            accept(Code.REFERENCE_ACCEPTED, text), lambda: self._await(change, rft, (self._flown, dict(slots), handed))
+        )
+        if isinstance(handed[0], TargetPursuit):
+            return verdict, []
+        return verdict, _positions_enu_m(handed[0], [change.begins_s + ahead_s for ahead_s in range(LOOK_AHEAD_S)])
+
+    def _join(self, change: ReferenceChange, rft: Rft, fleet_enu_m: Vector3) -> None:
+        """Take the RFT that the leader flies already."""
+        self._take(change, rft, _joined(rft, change.begins_s, fleet_enu_m))
+        self._agreement.waiting = None
+
+    def _await(self, change: ReferenceChange, rft: Rft, handed: Handed) -> None:
+        self._agreement.waiting, self._waiting_rft, self._handed = change, rft, handed
 
     def _checked(
         self, change: ReferenceChange, slots_enu_m: Mapping[int, Vector3], late: bool
-    ) -> Steps[tuple[Rft, HandedOver | None] | str]:
+    ) -> Steps[tuple[Rft, HandedOver | None] | Notice]:
         """The RFT of a change and, unless others fly it already, its hand-over; or why it is refused."""
         try:
             rft = yield from self._read(change.reference, slots_enu_m)
+            if isinstance(rft, Notice):
+                return rft
             yield
             return rft, (None if late else (yield from self._handing_over(change, rft, slots_enu_m)))
         except ValueError as error:
-            return str(error)
-
-    def waiting_track_enu_m(self, slots_enu_m: Mapping[int, Vector3]) -> list[Vector3]:
-        """r of the change that waits, with its hand-over, once a second for LOOK_AHEAD_S; empty for a followed target."""
-        if (change := self._agreement.waiting) is None:
-            return []
-        flown, _ = self._handed_over(change, slots_enu_m)
-        if isinstance(flown, TargetPursuit):
-            return []
-        return _positions_enu_m(flown, [change.begins_s + ahead_s for ahead_s in range(LOOK_AHEAD_S)])
-
-    def withdraw(self) -> None:
-        """Drop the change that waits."""
-        self._agreement.waiting = None
+            return Notice(Code.REFERENCE_INVALID, str(error))
 
     def update(
         self,

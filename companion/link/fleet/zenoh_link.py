@@ -25,7 +25,7 @@ from companion.config.vehicle import ZenohEndpoints
 from companion.link.fleet.peer_datagrams import Pairing
 from companion.link.fleet.peer_states import PeerStates
 from companion.link.fleet.zenoh_session import drain, each, open_session, publisher, subscriber
-from companion.link.log import CommandLog
+from companion.link.log import CHECK, COMMAND, CommandLog
 from companion.link.tick import monotonic_s
 from companion.security.names import ParticipantRole, parse_common_name
 from companion.types.commands import Command, CommandName, CommandReply
@@ -36,6 +36,7 @@ from companion.wire.keys import (
     ANY,
     abort_key,
     admission_key,
+    check_key,
     command_key,
     pose_key,
     pose_source_of,
@@ -63,6 +64,7 @@ if TYPE_CHECKING:
     from companion.security.identity import Identity
 
 COMMANDS_KEPT = 32
+CHECKS_KEPT = 8  # between two ticks: each is answered in the next one, or begins to be judged
 ABORTS_KEPT = 4  # ABORT is idempotent: more of them say nothing more
 # Samples on the abort key between two ticks. All are read, and what is no ABORT is dropped before it can displace one.
 ABORT_SAMPLES_KEPT = 256
@@ -112,7 +114,7 @@ class ZenohLink:
         self._fleet_name = fleet.name
         self._reject = reject
         self._drained_s: float | None = None
-        self._unanswered: dict[tuple[str, int], Command] = {}
+        self._unanswered: dict[tuple[str, int], tuple[str, Command]] = {}  # what it was, and the command
         self._log = CommandLog()
         self._terms = _term_proofs(vehicle_id, fleet, identity, reject) if identity else None
         self.session = open_session(endpoints.listen, endpoints.connect, identity)
@@ -127,6 +129,7 @@ class ZenohLink:
         self._targets = subscriber(self.session, target_key(fleet.name, ANY), TARGETS_KEPT) if may_lead else None
         self._traffic = subscriber(self.session, traffic_key(fleet.name, ANY, ANY), TRAFFIC_KEPT)
         self._commands = subscriber(self.session, command_key(fleet.name, vehicle_id, ANY), COMMANDS_KEPT)
+        self._checks = subscriber(self.session, check_key(fleet.name, vehicle_id, ANY), CHECKS_KEPT)
         self._aborts = subscriber(self.session, abort_key(fleet.name, vehicle_id, ANY), ABORT_SAMPLES_KEPT)
         self._lists = subscriber(self.session, admission_key(fleet.name, ANY), LISTS_KEPT) if self._identity else None
         seal = self._datagrams.seal if self._datagrams else None
@@ -181,6 +184,16 @@ class ZenohLink:
             return ()
         samples = drain(self._targets, TARGETS_KEPT)
         return tuple(each(samples, lambda one: self._target(one, now_s), self._refuse(Code.TARGET_MALFORMED)))
+
+    def checks(self) -> tuple[Command, ...]:
+        """Commands since the last call that are only to be answered. Never blocks. One that comes late does no harm."""
+        samples = drain(self._checks, CHECKS_KEPT)
+        return tuple(each(samples, self._check, self._refuse(Code.COMMAND_MALFORMED)))
+
+    def _check(self, sample: zenoh.Sample) -> Command | None:
+        if (check := self._decode_command(sample, check_key)) is not None:
+            self._note(CHECK, check)
+        return check
 
     def traffic(self, now_s: float) -> tuple[ReceivedTraffic, ...]:
         """All traffic samples since the last call. Never blocks."""
@@ -242,8 +255,8 @@ class ZenohLink:
     def reply(self, replies: Iterable[CommandReply]) -> None:
         """Publish and log the replies to the commands of the last `receive`."""
         for reply in replies:
-            if command := self._unanswered.pop((reply.operator, reply.number), None):
-                self._log.log(command, reply, time.monotonic())
+            if asked := self._unanswered.pop((reply.operator, reply.number), None):
+                self._log.log(*asked, reply, time.monotonic())
             self._reply_publisher.put(encode(reply))
 
     def admission_lists(self) -> Sequence[bytes]:
@@ -313,7 +326,7 @@ class ZenohLink:
             if len(aborts) < ABORTS_KEPT:
                 aborts += each((sample,), self._abort, self._refuse(Code.COMMAND_MALFORMED))
         for command in aborts:
-            self._note(command)
+            self._note(COMMAND, command)
         return aborts
 
     def _abort(self, sample: zenoh.Sample) -> Command | None:
@@ -338,9 +351,9 @@ class ZenohLink:
             return command
         return None
 
-    def _note(self, command: Command) -> None:
-        """Keep a command until its reply is logged."""
-        self._unanswered[command.operator, command.number] = command
+    def _note(self, kind: str, command: Command) -> None:
+        """Keep a command, or a check, until its reply is logged."""
+        self._unanswered[command.operator, command.number] = kind, command
         if len(self._unanswered) > UNANSWERED_KEPT:
             del self._unanswered[next(iter(self._unanswered))]
 
@@ -348,7 +361,7 @@ class ZenohLink:
         """The command in a message; None where it is malformed, and where it comes late, which is answered here."""
         if (command := self._decode_command(sample, command_key)) is None:
             return None
-        self._note(command)
+        self._note(COMMAND, command)
         if late and command.name not in ACCEPTED_LATE:
             reason = "arrived while this agent was paused; give it again"
             self.reply(

@@ -27,6 +27,7 @@ from companion.wire.keys import (
     ANY,
     abort_key,
     admission_key,
+    check_key,
     command_key,
     distant_key,
     pairing_key,
@@ -283,9 +284,7 @@ def keys_between(sender: ParticipantName, receiver: ParticipantName, fleet: str)
     elif receiver.role is ParticipantRole.VEHICLE:
         i = int(receiver.id)
         if sender.role is ParticipantRole.GROUND:
-            name = str(sender)
-            keys = (command_key(fleet, i, name), abort_key(fleet, i, name), admission_key(fleet, name))
-            return keys, (command_key(fleet, i, ANY), abort_key(fleet, i, ANY), admission_key(fleet, ANY))
+            return _of_ground(fleet, i, str(sender)), _of_ground(fleet, i, ANY)
         if sender.role is ParticipantRole.TARGET:
             return (target_key(fleet, sender.id),), (target_key(fleet, ANY),)
         if sender.role is ParticipantRole.TRAFFIC:
@@ -293,6 +292,16 @@ def keys_between(sender: ParticipantName, receiver: ParticipantName, fleet: str)
         if sender.role is ParticipantRole.MOCAP:
             return (pose_key(fleet, sender.id, i),), (pose_key(fleet, ANY, i),)
     return NOTHING
+
+
+def _of_ground(fleet: str, vehicle_id: int, name: str) -> Keys:
+    """What a ground of this name publishes to a vehicle."""
+    keys = (
+        command_key(fleet, vehicle_id, name),
+        check_key(fleet, vehicle_id, name),
+        abort_key(fleet, vehicle_id, name),
+    )
+    return *keys, admission_key(fleet, name)
 
 
 def _rule(name: str, message: str, flow: str, keys: Keys) -> dict[str, Any]:

@@ -33,6 +33,7 @@ CLEARED_S = 0.25  # level setpoints at the end of formation, before the next mod
 STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "peers and commands received": lambda flight: (flight.peers, "receive"),
     "targets received": lambda flight: (flight.peers, "targets"),
+    "checks received": lambda flight: (flight.peers, "checks"),
     "arbitration": lambda flight: (flight.agent.arbitration, "step"),
     "packets of the peers": lambda flight: (flight.agent.consensus, "receive"),
     "late peers received": lambda flight: (flight.peers, "receive_late"),

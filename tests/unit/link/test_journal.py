@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.link.log import LINES_KEPT, AgentEventLog, CommandLog, PrintableFormatter, RejectionLog
+from companion.link.log import COMMAND, LINES_KEPT, AgentEventLog, CommandLog, PrintableFormatter, RejectionLog
 from companion.link.systemd import JournalHandler, entry, leads_to_journal
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.notices import Code, Notice
@@ -81,7 +81,7 @@ def test_an_event_can_be_found_by_code_vehicle_and_phase(journal: socket.socket,
 def test_commands_and_rejections_have_their_codes(journal: socket.socket, logger: logging.Logger) -> None:
     logger.addHandler(handler_to(journal.getsockname()))
     command = Command(CommandName.ARM, 12, "anna@ground", 7)
-    CommandLog().log(command, CommandReply(1, 12, False, Code.COMMAND_OLD, "old", "anna@ground"), 100.0)
+    CommandLog().log(COMMAND, command, CommandReply(1, 12, False, Code.COMMAND_OLD, "old", "anna@ground"), 100.0)
     RejectionLog().update({"WIRE_VERSION_DIFFERS 9": 5}, 100.0)
     assert fields(journal.recv(65536))["COMPANION_CODE"] == "COMMAND_OLD"
     assert fields(journal.recv(65536))["COMPANION_CODE"] == "WIRE_VERSION_DIFFERS"

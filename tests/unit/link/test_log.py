@@ -8,7 +8,16 @@ import threading
 
 import pytest
 
-from companion.link.log import BURST, LINES_KEPT, AgentEventLog, CommandLog, DroppingHandler, RejectionLog
+from companion.link.log import (
+    BURST,
+    CHECK,
+    COMMAND,
+    LINES_KEPT,
+    AgentEventLog,
+    CommandLog,
+    DroppingHandler,
+    RejectionLog,
+)
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.notices import Code, Notice
 
@@ -24,13 +33,13 @@ def test_each_command_is_logged_and_a_flood_is_counted(caplog: pytest.LogCapture
     log, command = CommandLog(), Command(CommandName.ARM, 12, "anna@ground", 7)
     with caplog.at_level(logging.INFO):
         for _ in range(BURST + 30):
-            log.log(command, CommandReply(1, 12, False, Code.COMMAND_OLD, "old command", "anna@ground"), 100.5)
-        log.log(command, CommandReply(1, 12, True, Code.PHASE_CHANGED, "arm", "anna@ground"), 100.6)
-        log.log(command, CommandReply(1, 12, False, Code.COMMAND_OLD, "old command", "anna@ground"), 102.0)
+            log.log(COMMAND, command, CommandReply(1, 12, False, Code.COMMAND_OLD, "old command", "anna@ground"), 100.5)
+        log.log(COMMAND, command, CommandReply(1, 12, True, Code.PHASE_CHANGED, "arm", "anna@ground"), 100.6)
+        log.log(CHECK, command, CommandReply(1, 12, False, Code.COMMAND_OLD, "old command", "anna@ground"), 102.0)
     assert lines(caplog)[0] == "command arm, number 12 of anna@ground: refused, COMMAND_OLD: old command"
     assert lines(caplog)[BURST:] == [
         "command arm, number 12 of anna@ground: accepted, PHASE_CHANGED: arm",
-        "command arm, number 12 of anna@ground: refused, COMMAND_OLD: old command (30 more of COMMAND_OLD left out before)",
+        "check of arm, number 12 of anna@ground: refused, COMMAND_OLD: old command (30 more of COMMAND_OLD left out before)",
     ]
 
 
@@ -41,7 +50,10 @@ def test_a_flood_of_takes_is_a_few_lines(caplog: pytest.LogCaptureFixture) -> No
             now_s = 100.0 + 0.02 * tick
             events.log(Notice(Code.COMMAND_TAKEN, "mallory@hill takes command from anna@ground"), now_s)
             commands.log(
-                TAKE, CommandReply(1, 12, True, Code.COMMAND_TAKEN, "mallory@hill takes command", "anna@ground"), now_s
+                COMMAND,
+                TAKE,
+                CommandReply(1, 12, True, Code.COMMAND_TAKEN, "mallory@hill takes command", "anna@ground"),
+                now_s,
             )
     assert sum(map(len, lines(caplog))) < 10_000
 

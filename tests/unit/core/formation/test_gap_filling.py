@@ -83,7 +83,7 @@ def test_the_gap_is_closed_when_the_vehicle_has_landed_or_is_clear_of_the_paths(
         assert (change.number, change.absent) == (5, (3,))
         assert dict(change.slots_enu_m) == {1: SLOTS[1], 2: SLOTS[3], 3: SLOTS[2]}
         slots = SlotPlan(2, SLOTS, LIMITS)
-        assert slots.change(change, 50.0, (), [AT])[0]
+        assert slots.judge(change, 50.0, (), [AT]).carried_out()[0]
 
 
 @pytest.mark.parametrize(("waiting", "number"), [(6, 7), (20, 21), (21, 5), (2**62, 5)])
@@ -154,7 +154,7 @@ def test_the_change_is_cancelled_when_the_vehicle_is_back() -> None:
     assert change is not None
     mover, back = SlotPlan(2, SLOTS, LIMITS), SlotPlan(3, SLOTS, LIMITS)
     for slots in (mover, back):
-        assert slots.change(change, 50.0, (), [])[0]
+        assert slots.judge(change, 50.0, (), []).carried_out()[0]
     slot = replace(peer(3).packet.slot, waiting=5)
     returning = replace(peer(3).packet, slot=slot, phase=FlightPhase.ENGAGE)
     text = "formation 5 does not begin: vehicle 3 is back in formation"
@@ -165,7 +165,9 @@ def test_the_change_is_cancelled_when_the_vehicle_is_back() -> None:
 
 def test_slots_of_absent_vehicles_are_still_checked() -> None:
     on_one_another = FormationChange(5, ((1, SLOTS[1]), (2, SLOTS[1]), (3, SLOTS[3])), 51.5, 10.0, absent=(2,))
-    assert SlotPlan(2, SLOTS, LIMITS).change(on_one_another, 50.0, (), []).notice.code is Code.SLOT_TOO_CLOSE
+    assert (
+        SlotPlan(2, SLOTS, LIMITS).judge(on_one_another, 50.0, (), []).carried_out().notice.code is Code.SLOT_TOO_CLOSE
+    )
 
 
 def test_close_up_is_refused_when_edges_depend_on_one_vehicle() -> None:

@@ -18,7 +18,7 @@ from companion.core.paced import PENDING, RESULTS_KEPT, STEPS_PER_TICK, PacedChe
 from companion.types.commands import Command, CommandName, CommandReply, ReferenceChange
 from companion.types.flight import Role
 from companion.types.formation import FlownSlot, FormationChange
-from companion.types.notices import Answer, Code
+from companion.types.notices import Code, Judged
 from companion.types.steps import Steps
 from one_agent import AgentFlight
 
@@ -209,13 +209,13 @@ def test_a_leader_with_another_change_in_every_packet_is_judged_a_few_times_a_se
 ) -> None:
     flight = on_ground(ROUND)
     checks, judged = changes_of(flight).checks, []
-    change_on_ground = SlotPlan.change_on_ground
+    judge_on_ground = SlotPlan.judge_on_ground
 
-    def counted(slots: SlotPlan, change: FormationChange, *rest: Any) -> Answer:
+    def counted(slots: SlotPlan, change: FormationChange, *rest: Any) -> Judged:
         judged.append(change.number)
-        return change_on_ground(slots, change, *rest)
+        return judge_on_ground(slots, change, *rest)
 
-    monkeypatch.setattr(SlotPlan, "change_on_ground", counted)
+    monkeypatch.setattr(SlotPlan, "judge_on_ground", counted)
     ticks = 100
     for number in range(1, ticks + 1):
         change = wider(number, flight.peer_reference_s + 3.0, by=1.0 + 0.001 * number)

@@ -19,7 +19,7 @@ from companion.geometry.formations import SHAPES, closest_approach, peak_speed_m
 from companion.ground.changes import assign_slots
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange
-from companion.types.notices import Code, Notice, accept
+from companion.types.notices import Answer, Code, Notice, accept
 from companion.types.peers import LeaderReport, PeerPacket, Sender
 from companion.types.peers import Motion as PeerMotion
 from companion.types.values import ZERO3, Vector3
@@ -161,7 +161,9 @@ KNOW = [other(1, 0, 1), other(3, 0, 1)]
 
 def test_a_change_begins_at_its_time_when_all_peers_hold_it() -> None:
     slots = plan()
-    assert slots.change(CHANGE, 9.0, (), ()) == accept(Code.FORMATION_ACCEPTED, "formation 1 begins in 1.0 s")
+    assert slots.judge(CHANGE, 9.0, (), ()).carried_out() == accept(
+        Code.FORMATION_ACCEPTED, "formation 1 begins in 1.0 s"
+    )
     assert flown(slots, 9.9, KNOW, in_formation=True) == FlownSlot(LINE[2], formation=0, waiting=1)
     assert slots.update(0.0, 10.0, KNOW, in_formation=True) == (Notice(Code.FORMATION_CHANGED, "formation 0 -> 1"),)
     assert slots.flown == FlownSlot(LINE[2], formation=1, waiting=1)
@@ -179,7 +181,7 @@ def flown_until(slots: SlotPlan, from_s: float, until_s: float, others: Collecti
 
 def test_slots_wait_while_a_vehicle_that_moves_with_them_is_silent() -> None:
     slots = plan()
-    slots.change(CHANGE, 9.0, (), ())
+    slots.judge(CHANGE, 9.0, (), ()).carried_out()
     flown_until(slots, 9.0, 20.0, KNOW)
     assert flown_until(slots, 20.0, 22.0, KNOW[:1]) == [Code.FORMATION_WAITS]
     waiting = slots.flown
@@ -195,7 +197,7 @@ def test_slots_wait_while_a_vehicle_that_moves_with_them_is_silent() -> None:
 
 def test_slots_wait_for_a_silent_vehicle_no_longer_than_for_its_hand_over() -> None:
     slots = plan()
-    slots.change(CHANGE, 9.0, (), ())
+    slots.judge(CHANGE, 9.0, (), ()).carried_out()
     flown_until(slots, 9.0, 20.0, KNOW)
     flown_until(slots, 20.0, 31.5 + WAITS_S, KNOW[:1])
     assert slots.flown == FlownSlot(TURNED[2], formation=1, waiting=1)
@@ -203,7 +205,7 @@ def test_slots_wait_for_a_silent_vehicle_no_longer_than_for_its_hand_over() -> N
 
 def test_slots_do_not_wait_for_a_vehicle_that_left_formation() -> None:
     slots = plan()
-    slots.change(CHANGE, 9.0, (), ())
+    slots.judge(CHANGE, 9.0, (), ()).carried_out()
     flown_until(slots, 9.0, 20.0, KNOW)
     flown_until(slots, 20.0, 21.0, [KNOW[0], replace(KNOW[1], phase=FlightPhase.HOLD)])
     assert flown_until(slots, 21.0, 31.0, KNOW[:1]) == []
@@ -215,21 +217,22 @@ def test_a_command_replaces_a_formation_whose_number_was_too_far_ahead(on_ground
     """What another vehicle passes on must be newer; with a command the operator knows the numbers of all vehicles."""
     slots = plan()
     for number in (1000, 1001):
-        assert slots.change_on_ground(replace(CHANGE, number=number), (), ())[0]
-    change = slots.change_on_ground if on_ground else lambda *rest, **k: slots.change(rest[0], 9.0, *rest[1:], **k)
-    assert outcome(change(CHANGE, (), ())) == (False, Code.CHANGE_TOO_OLD)
-    assert outcome(change(replace(CHANGE, number=1001, lasts_s=9.0), (), (), is_command=True)) == (
-        False,
-        Code.CHANGE_TOO_OLD,
-    )
-    assert change(CHANGE, (), (), is_command=True)[0]
+        assert slots.judge_on_ground(replace(CHANGE, number=number), (), ()).carried_out()[0]
+
+    def change(new: FormationChange, **more: bool) -> Answer:
+        judged = slots.judge_on_ground(new, (), (), **more) if on_ground else slots.judge(new, 9.0, (), (), **more)
+        return judged.carried_out()
+
+    assert outcome(change(CHANGE)) == (False, Code.CHANGE_TOO_OLD)
+    assert outcome(change(replace(CHANGE, number=1001, lasts_s=9.0), is_command=True)) == (False, Code.CHANGE_TOO_OLD)
+    assert change(CHANGE, is_command=True)[0]
     assert slots.update(0.0, 10.0, KNOW, in_formation=False) or on_ground
     assert flown(slots, 10.0, KNOW, in_formation=False).formation == 1
 
 
 def test_a_change_is_cancelled_when_a_fresh_peer_lacks_it() -> None:
     slots = plan()
-    slots.change(CHANGE, 9.0, (), ())
+    slots.judge(CHANGE, 9.0, (), ()).carried_out()
     text = "formation 1 does not begin: vehicle 3 does not have it"
     events = slots.update(0.0, 10.0, [KNOW[0], other(3, 0, 0)], in_formation=True)
     assert events == (Notice(Code.FORMATION_CANCELLED, text),)
@@ -239,16 +242,16 @@ def test_a_change_is_cancelled_when_a_fresh_peer_lacks_it() -> None:
 
 def test_a_peer_that_began_a_tick_earlier_holds_the_change() -> None:
     slots = plan()
-    slots.change(CHANGE, 9.0, (), ())
+    slots.judge(CHANGE, 9.0, (), ()).carried_out()
     assert flown(slots, 10.0, [other(1, 1, 1), other(3, 0, 1)], in_formation=True).formation == 1
 
 
 def test_the_same_change_is_accepted_again() -> None:
     slots = plan()
-    slots.change(CHANGE, 9.0, (), ())
-    assert slots.change(CHANGE, 9.5, (), ())[0]
+    slots.judge(CHANGE, 9.0, (), ()).carried_out()
+    assert slots.judge(CHANGE, 9.5, (), ()).carried_out()[0]
     slots.update(0.0, 10.0, KNOW, in_formation=True)
-    assert slots.change(CHANGE, 12.0, (), ())[0]
+    assert slots.judge(CHANGE, 12.0, (), ()).carried_out()[0]
 
 
 @pytest.mark.parametrize(
@@ -270,7 +273,7 @@ def test_the_same_change_is_accepted_again() -> None:
 )
 def test_a_change_that_cannot_be_flown_is_refused(changes: dict[str, object], text: str) -> None:
     slots = plan()
-    ok, notice = slots.change(replace(CHANGE, **changes), 9.0, (), ())
+    ok, notice = slots.judge(replace(CHANGE, **changes), 9.0, (), ()).carried_out()
     assert not ok
     assert text in notice.text
     assert flown(slots, 50.0, KNOW, in_formation=True) == FlownSlot(LINE[2])
@@ -278,29 +281,29 @@ def test_a_change_that_cannot_be_flown_is_refused(changes: dict[str, object], te
 
 def test_a_change_begins_late_enough_for_all_to_know_who_has_accepted_it() -> None:
     too_late_s = CHANGE.begins_s - AGREED_WITHIN_S + 0.01
-    assert outcome(plan().change(CHANGE, too_late_s, (), ())) == (False, Code.CHANGE_NOT_IN_TIME)
-    assert plan().change(CHANGE, too_late_s - 0.02, (), ())[0]
+    assert outcome(plan().judge(CHANGE, too_late_s, (), ()).carried_out()) == (False, Code.CHANGE_NOT_IN_TIME)
+    assert plan().judge(CHANGE, too_late_s - 0.02, (), ()).carried_out()[0]
 
 
 def test_a_change_is_refused_while_another_is_flown() -> None:
     slots = plan()
-    slots.change(CHANGE, 9.0, (), ())
+    slots.judge(CHANGE, 9.0, (), ()).carried_out()
     slots.update(0.0, 10.0, KNOW, in_formation=True)
     back = FormationChange(2, tuple(LINE.items()), 21.0, 20.0)
-    assert outcome(slots.change(back, 20.0, (), ())) == (False, Code.CHANGE_IN_PROGRESS)
+    assert outcome(slots.judge(back, 20.0, (), ()).carried_out()) == (False, Code.CHANGE_IN_PROGRESS)
     slots.update(0.0, 30.0, KNOW, in_formation=True)
-    assert slots.change(replace(back, begins_s=31.0), 30.0, (), ())[0]
+    assert slots.judge(replace(back, begins_s=31.0), 30.0, (), ()).carried_out()[0]
 
 
 def test_a_vehicle_outside_formation_adopts_the_formation_of_the_others_at_once() -> None:
     slots = plan()
-    assert outcome(slots.change(CHANGE, 40.0, [other(1, 1, 1)], ())) == (True, Code.FORMATION_ACCEPTED)
+    assert outcome(slots.judge(CHANGE, 40.0, [other(1, 1, 1)], ()).carried_out()) == (True, Code.FORMATION_ACCEPTED)
     assert flown(slots, 40.0, (), in_formation=True) == FlownSlot(TURNED[2], formation=1, waiting=1)
 
 
 def test_a_change_whose_paths_cross_is_accepted_with_a_warning() -> None:
     exchange = replace(CHANGE, slots_enu_m=((1, LINE[2]), (2, LINE[1]), (3, LINE[3])))
-    ok, notice = plan().change(exchange, 9.0, (), ())
+    ok, notice = plan().judge(exchange, 9.0, (), ()).carried_out()
     assert (ok, notice.code) == (True, Code.FORMATION_ACCEPTED)
     assert "paths of vehicles 1 and 2 come within 0.00 m" in notice.text
 
@@ -323,23 +326,23 @@ CLOSE = {**TURNED, 3: (0.0, -2.5, 0.0)}
 def test_every_way_to_a_change_refuses_impossible_slots(changes: dict[str, object], code: Code) -> None:
     change, flying = replace(CHANGE, **changes), [other(1, 1, 1)]
     for answer in (
-        plan().change(change, 9.0, (), ()),
-        plan().change(change, 40.0, flying, ()),
-        plan().change_on_ground(change, (), ()),
-        plan().change_on_ground(change, flying, ()),
+        plan().judge(change, 9.0, (), ()).carried_out(),
+        plan().judge(change, 40.0, flying, ()).carried_out(),
+        plan().judge_on_ground(change, (), ()).carried_out(),
+        plan().judge_on_ground(change, flying, ()).carried_out(),
     ):
         assert outcome(answer) == (False, code)
 
 
 def test_an_adopted_formation_is_settled_at_once() -> None:
     slots = plan()
-    assert slots.change(replace(CHANGE, begins_s=1e6, lasts_s=600.0), 40.0, [other(1, 1, 1)], ())[0]
+    assert slots.judge(replace(CHANGE, begins_s=1e6, lasts_s=600.0), 40.0, [other(1, 1, 1)], ()).carried_out()[0]
     assert slots.is_settled(40.0)
 
 
 def test_the_formation_stays_when_mission_time_restarts_after_landing() -> None:
     slots = plan()
-    slots.change(CHANGE, 9.0, (), ())
+    slots.judge(CHANGE, 9.0, (), ()).carried_out()
     slots.update(0.0, 10.0, KNOW, in_formation=True)
     slots.restart()
     assert flown(slots, 0.0, (), in_formation=True) == FlownSlot(TURNED[2], formation=1, waiting=1)
@@ -347,7 +350,7 @@ def test_the_formation_stays_when_mission_time_restarts_after_landing() -> None:
 
 def test_the_formation_stays_when_a_leader_restarts_mission_time_in_flight() -> None:
     slots = plan()
-    slots.change(CHANGE, 9.0, (), ())
+    slots.judge(CHANGE, 9.0, (), ()).carried_out()
     slots.update(0.0, 10.0, KNOW, in_formation=True)
     assert flown(slots, 40.0, KNOW, in_formation=True).position_enu_m == TURNED[2]
     assert flown(slots, 39.9, KNOW, in_formation=True).position_enu_m == TURNED[2]
@@ -357,7 +360,7 @@ def test_the_formation_stays_when_a_leader_restarts_mission_time_in_flight() -> 
 
 def test_a_waiting_change_is_cancelled_when_the_vehicle_lands() -> None:
     slots = plan()
-    slots.change(CHANGE, 9.0, (), ())
+    slots.judge(CHANGE, 9.0, (), ()).carried_out()
     text = "formation 1 does not begin: the mission time restarts"
     assert slots.restart() == (Notice(Code.FORMATION_CANCELLED, text),)
     assert flown(slots, 30.0, KNOW, in_formation=True) == FlownSlot(LINE[2])
@@ -367,7 +370,7 @@ def test_a_waiting_change_is_cancelled_when_the_vehicle_lands() -> None:
 def test_a_change_applies_at_once_on_the_ground() -> None:
     for own_id in (1, 2, 3):
         slots = plan(own_id)
-        assert outcome(slots.change_on_ground(CHANGE, (), ())) == (True, Code.FORMATION_ACCEPTED)
+        assert outcome(slots.judge_on_ground(CHANGE, (), ()).carried_out()) == (True, Code.FORMATION_ACCEPTED)
         assert flown(slots, 0.0, (), in_formation=True) == FlownSlot(TURNED[own_id], formation=1, waiting=1)
         assert flown(slots, 11.0, (), in_formation=True) == FlownSlot(
             TURNED[own_id], formation=1, waiting=1
@@ -376,24 +379,24 @@ def test_a_change_applies_at_once_on_the_ground() -> None:
 
 def test_only_the_separation_of_slots_is_checked_on_the_ground() -> None:
     swapped = replace(CHANGE, slots_enu_m=((1, LINE[2]), (2, LINE[1]), (3, LINE[3])))
-    assert plan().change_on_ground(swapped, (), ())[0]
+    assert plan().judge_on_ground(swapped, (), ()).carried_out()[0]
     near = replace(CHANGE, slots_enu_m=((1, ZERO3), (2, (-0.5, 0.0, 0.0)), (3, LINE[3])))
-    assert plan().change_on_ground(near, (), ()).notice.code is Code.SLOT_TOO_CLOSE
+    assert plan().judge_on_ground(near, (), ()).carried_out().notice.code is Code.SLOT_TOO_CLOSE
 
 
 def test_a_vehicle_on_the_ground_adopts_a_change_when_the_others_fly_it() -> None:
     slots = plan()
     text = "formation 1 is adopted here when the others fly it"
-    assert slots.change_on_ground(CHANGE, KNOW, ()) == accept(Code.FORMATION_ACCEPTED, text)
+    assert slots.judge_on_ground(CHANGE, KNOW, ()).carried_out() == accept(Code.FORMATION_ACCEPTED, text)
     assert flown(slots, 0.0, KNOW, in_formation=True) == FlownSlot(LINE[2])
-    assert outcome(slots.change_on_ground(CHANGE, [other(1, 1, 1)], ())) == (True, Code.FORMATION_ACCEPTED)
+    assert outcome(slots.judge_on_ground(CHANGE, [other(1, 1, 1)], ()).carried_out()) == (True, Code.FORMATION_ACCEPTED)
     assert flown(slots, 0.0, KNOW, in_formation=True).position_enu_m == TURNED[2]
 
 
 def test_an_older_formation_is_adopted_when_the_others_fly_it() -> None:
     slots = plan()
-    assert slots.change_on_ground(replace(CHANGE, number=7), (), ())[0]
-    assert slots.change(CHANGE, 40.0, [other(1, 1, 1)], ())[0]
+    assert slots.judge_on_ground(replace(CHANGE, number=7), (), ()).carried_out()[0]
+    assert slots.judge(CHANGE, 40.0, [other(1, 1, 1)], ()).carried_out()[0]
     assert flown(slots, 40.0, (), in_formation=True).formation == 1
 
 
@@ -406,10 +409,10 @@ def test_an_older_formation_is_adopted_when_the_others_fly_it() -> None:
 )
 def test_a_change_is_refused_when_a_slot_leaves_the_fence(rft_enu_m: Vector3, text: str) -> None:
     inside = (0.0, 0.0, 5.0)
-    assert plan().change(CHANGE, 9.0, (), [inside])[0]
+    assert plan().judge(CHANGE, 9.0, (), [inside]).carried_out()[0]
     for refused in (
-        plan().change(CHANGE, 9.0, (), [inside, rft_enu_m]),
-        plan().change_on_ground(CHANGE, (), [rft_enu_m]),
+        plan().judge(CHANGE, 9.0, (), [inside, rft_enu_m]).carried_out(),
+        plan().judge_on_ground(CHANGE, (), [rft_enu_m]).carried_out(),
     ):
         assert outcome(refused) == (False, Code.SLOT_OUTSIDE_FENCE)
         assert text in refused.notice.text
@@ -418,7 +421,7 @@ def test_a_change_is_refused_when_a_slot_leaves_the_fence(rft_enu_m: Vector3, te
 def test_a_leader_passes_on_the_formation_flown_while_a_peer_lacks_it() -> None:
     slots = plan(1)
     assert slots.to_pass_on([other(2, 0, 0)]) is None
-    slots.change(CHANGE, 9.0, (), ())
+    slots.judge(CHANGE, 9.0, (), ()).carried_out()
     assert slots.to_pass_on(KNOW) == CHANGE
     slots.update(0.0, 10.0, KNOW, in_formation=True)
     assert slots.to_pass_on([other(2, 1, 1), other(3, 0, 1)]) is None
@@ -430,10 +433,10 @@ def test_a_leader_passes_on_the_formation_flown_while_a_peer_lacks_it() -> None:
 def test_the_first_leader_replaces_a_waiting_change_of_any_number(number: int) -> None:
     """One packet in the leader's name stopped all of its changes for a minute."""
     slots, wrong = plan(), replace(CHANGE, number=number, begins_s=60.0)
-    assert slots.change(wrong, 9.0, (), ())[0]
+    assert slots.judge(wrong, 9.0, (), ()).carried_out()[0]
     assert not slots.lacks(CHANGE, over_own=False)
     assert slots.lacks(CHANGE, over_own=True)
-    assert slots.change(CHANGE, 9.0, (), ())[0]
+    assert slots.judge(CHANGE, 9.0, (), ()).carried_out()[0]
     assert flown(slots, 10.0, KNOW, in_formation=True).formation == 1
     assert not slots.lacks(CHANGE, over_own=True)  # flown: the leader sends it while a peer lacks it
 
@@ -441,12 +444,12 @@ def test_the_first_leader_replaces_a_waiting_change_of_any_number(number: int) -
 def test_the_change_of_the_first_leader_wins_when_two_have_one_number() -> None:
     slots, same_number = plan(), replace(CHANGE, begins_s=11.0)
     assert slots.lacks(CHANGE, over_own=False)
-    slots.change(CHANGE, 9.0, (), ())
+    slots.judge(CHANGE, 9.0, (), ()).carried_out()
     assert not slots.lacks(CHANGE, over_own=True)
     assert slots.lacks(same_number, over_own=True)
     assert not slots.lacks(same_number, over_own=False)
     assert slots.lacks(replace(CHANGE, number=2), over_own=False)
-    assert slots.change(same_number, 9.0, (), ())[0]
+    assert slots.judge(same_number, 9.0, (), ()).carried_out()[0]
     assert flown(slots, 10.5, KNOW, in_formation=True).formation == 0
     assert flown(slots, 11.0, KNOW, in_formation=True).formation == 1
     assert not slots.lacks(same_number, over_own=True)

@@ -139,7 +139,7 @@ def other(flown: int, waiting: int, role: Role = Role.FOLLOWER, begun_s: float =
 
 
 def commanded(references: ReferencePlan, change: ReferenceChange, others: Sequence[PeerPacket] = ()) -> Answer:
-    return references.change(change, 20.0, SLOTS, others, ZERO3)
+    return references.judge(change, 20.0, SLOTS, others, ZERO3)[0].carried_out()
 
 
 def test_a_command_replaces_a_reference_whose_number_was_too_far_ahead() -> None:
@@ -217,7 +217,7 @@ def test_a_reference_that_cannot_be_flown_is_refused_with_the_reason(changes: di
 
 def test_the_fence_is_checked_with_the_slots_flown_not_the_configured_ones() -> None:
     wide = SLOTS | {4: (-97.0, 0.0, 0.0)}
-    answer = plan().change(CHANGE, 20.0, wide, (), ZERO3)
+    answer = plan().judge(CHANGE, 20.0, wide, (), ZERO3)[0].carried_out()
     assert outcome(answer) == (False, Code.REFERENCE_INVALID)
     assert "puts vehicle 4 at x = -101 m, outside the fence less clearance_m (-99.5 to 99.5)" in answer.notice.text
 
@@ -237,9 +237,9 @@ def test_a_reference_that_is_about_to_begin_is_not_replaced() -> None:
     references = plan()
     commanded(references, CHANGE)
     late = replace(CHANGE, number=2, begins_s=23.0)
-    answer = references.change(late, 20.6, SLOTS, (), ZERO3, in_formation=True)
+    answer = references.judge(late, 20.6, SLOTS, (), ZERO3, in_formation=True)[0].carried_out()
     assert answer == refuse(Code.CHANGE_IN_PROGRESS, "reference: 1 is about to begin")
-    assert references.change(late, 20.4, SLOTS, (), ZERO3, in_formation=True).accepted
+    assert references.judge(late, 20.4, SLOTS, (), ZERO3, in_formation=True)[0].carried_out().accepted
 
 
 def test_a_vehicle_that_missed_a_change_must_not_lead_until_it_adopts_the_leader_s_rft() -> None:
@@ -278,7 +278,7 @@ def test_a_vehicle_that_landed_alone_needs_the_change_again_before_it_leads() ->
     leader = other(1, 1, Role.LEADER, begun_s=21.0)
     references.update(90.0, 70.0, SLOTS, [leader], ())  # its packets arrive again
     assert "vehicle 2 flies reference 1 since mission time 21.0 s" in references.missing(90.0).text
-    assert references.change(CHANGE, 70.0, SLOTS, [leader], ZERO3).accepted
+    assert references.judge(CHANGE, 70.0, SLOTS, [leader], ZERO3)[0].carried_out().accepted
     assert references.missing(90.0) is None
 
 

@@ -33,7 +33,11 @@ def keys(sender: str, receiver: str) -> set[str]:
         ("vehicle-3.2", "vehicle-2", {"peer/3", "distant/3", "pairing/3/2"}),
         ("vehicle-1", "ground-anna", {"peer/1", "status/1", "reply/1"}),
         ("vehicle-1", "monitor-tower", {"peer/1", "status/1", "reply/1"}),
-        ("ground-anna", "vehicle-2", {"command/2/ground-anna", "abort/2/ground-anna", "admitted/ground-anna"}),
+        (
+            "ground-anna",
+            "vehicle-2",
+            {"command/2/ground-anna", "check/2/ground-anna", "abort/2/ground-anna", "admitted/ground-anna"},
+        ),
         ("target-beacon", "vehicle-2", {"target/beacon"}),
         ("traffic-adsb", "vehicle-2", {"traffic/adsb/*"}),
         ("mocap-hall", "vehicle-2", {"pose/hall/2"}),
