@@ -389,7 +389,8 @@ def _svg(figure: Figure, id_: str, title: str) -> str:
     text = re.sub(r'\bid="', f'id="{id_}-', text)
     text = re.sub(r"url\(#", f"url(#{id_}-", text)
     text = re.sub(r'href="#', f'href="#{id_}-', text)
-    text = re.sub(r"(\d+\.\d\d)\d+", r"\1", text)  # a hundredth of a point
+    # Coordinates to a hundredth of a point; not numbers that are read, such as 0.025 on an axis.
+    text = re.sub(r"<[^>]+>", lambda tag: re.sub(r"(\d+\.\d\d)\d+", r"\1", tag[0]), text)
     return text.replace("<svg ", f'<svg role="img" aria-label="{_attribute(title)}" ', 1)
 
 

@@ -128,6 +128,16 @@ def test_the_axis_of_errors_is_that_of_the_formation(drawn: list[Figure]) -> Non
     assert drawn[0].axes[0].get_ylim() == pytest.approx((0.0, 1.05 * 0.3))
 
 
+def test_numbers_on_an_axis_keep_their_digits(drawn: list[Figure]) -> None:
+    """Coordinates of a picture are rounded, what is read in it is not."""
+    flight = flight_of(records_of(1, 30.0))
+    body = draw_errors(flight, {1: np.full(flight.vehicles[0].ticks.time_s.size, 0.18)}, TimeAxis(30.0, None, UTC)).body
+    ticks = drawn[0].axes[0].yaxis.get_major_ticks()
+    shown = {tick.label1.get_text() for tick in ticks if tick.get_loc() <= 0.18}
+    assert "0.025" in shown
+    assert shown <= set(re.findall(r">([\d.]+)</text>", body))
+
+
 def test_errors_without_a_formation_have_an_axis_of_their_own(drawn: list[Figure]) -> None:
     flight = flight_of(records_of(1, 30.0))
     errors_m = {1: np.where(flight.vehicles[0].ticks.phase == "formation", np.nan, 7.0)}
