@@ -266,5 +266,8 @@ def _left_out(others: Sequence[Recording]) -> str:
     )
 
 
+FIRST_DATE_UNIX_S = 946684800.0  # of 2000: a clock that was never set is in 1970 or 1980, a virtual one begins in 1970
+
+
 def _date(unix_s: float) -> str:
     return f"{datetime.fromtimestamp(unix_s, UTC):%Y-%m-%d %H:%M} UTC"

@@ -19,6 +19,7 @@ import msgspec
 
 from companion.config.code_file import UnreadCodeError, load_code, read_beside
 from companion.config.file import ConfigError
+from companion.recording.alignment import FIRST_DATE_UNIX_S
 from companion.recording.reader import Recording, RecordingError, recordings
 from companion.recording.records import SOFTWARE
 from companion.replay.comparison import (
@@ -233,8 +234,10 @@ def replayed_lines(name: str, result: ReplayResult) -> Iterator[str]:
 
 
 def _place(difference: FirstDifference) -> str:
-    utc = datetime.fromtimestamp(difference.utc_s, UTC)
-    return f"tick {difference.tick} differs, {difference.time_s:.3f} s after the first ({utc:%Y-%m-%d %H:%M:%S.%f} UTC)"
+    place = f"tick {difference.tick} differs, {difference.time_s:.3f} s after the first"
+    if difference.utc_s < FIRST_DATE_UNIX_S:
+        return place
+    return f"{place} ({datetime.fromtimestamp(difference.utc_s, UTC):%Y-%m-%d %H:%M:%S.%f} UTC)"
 
 
 def compared_lines(

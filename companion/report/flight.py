@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.config.fleet import FleetConfig
+from companion.recording.alignment import FIRST_DATE_UNIX_S
 from companion.types.flight import FLYING
 from companion.types.notices import Code
 
@@ -20,7 +21,6 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Words = NDArray[np.str_]
 Anything = NDArray[Any]
-FIRST_DATE_UNIX_S = 946684800.0  # of 2000: a clock that was never set is in 1970 or 1980, a virtual one begins in 1970
 FLYING_PHASES = tuple(str(phase) for phase in FLYING)
 
 

@@ -260,7 +260,7 @@ class VirtualAgent:
         try:
             decision = self.agent.decide(now_s, inbox)
         except LawError as error:
-            self._fail(now_s, error)
+            self._fail(now_s, inbox, error)
             return
         outbox = self.agent.report(decision)
         self._response.sent(decision.flight, outbox.attitude_target, decision.setpoint.hover_thrust_norm)
@@ -271,9 +271,11 @@ class VirtualAgent:
             report = StatusReport(sent.status, NOT_TIMED) if sent.status else None
             self._recorder.tick(now_s, inbox, decision, sent, report, TimingRecord(now_s, 0, 0, 0, None))
 
-    def _fail(self, now_s: float, error: LawError) -> None:
+    def _fail(self, now_s: float, inbox: Inbox, error: LawError) -> None:
         """The process hands over, and ends. Defects of the agent itself end the flight with a traceback."""
         self._failed, notice = True, Notice(Code.AGENT_FAILED, str(error))
+        if self._recorder:
+            self._recorder.failure(now_s, notice, (now_s, inbox))
         if self.status:
             self.status = replace(self.status, last_event=notice)
             self._reports.append(StatusReport(self.status, NOT_TIMED))

@@ -5,6 +5,7 @@ tests/protocol/test_failing_law.py has a real process, also with a law that take
 
 from __future__ import annotations
 
+import json
 from math import dist
 from pathlib import Path
 from shutil import copyfile
@@ -12,12 +13,13 @@ from shutil import copyfile
 import pytest
 
 from common import ROOT
+from companion.cli.main import main
 from companion.config.file import ConfigError
 from companion.types.autopilot import AutopilotKind
 from companion.types.flight import FlightPhase
 from lockstep_fleet import CommandedFlight
 from sitl.flight.scenario import load_scenario
-from sitl.flight.virtual_flight import fly_without_landing
+from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.report.progress import FlightProgress
 from tests.helpers.bad_laws import BAD_LAWS, fails_later, write_law
 
@@ -61,15 +63,25 @@ def test_it_ends_in_hold_and_the_others_fly_on(defect: str, tmp_path: Path) -> N
     assert {flight.newest[i].phase for i in (1, 2, 3)} == {FlightPhase.FORMATION}
 
 
-def test_the_failure_of_a_flight_begins_with_its_cause(tmp_path: Path) -> None:
+def test_the_failure_of_a_flight_and_its_report_begin_with_the_cause(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Vehicle 2 fails, and leaves those behind it without a leader."""
     body, text = DEFECTS["raises"]
     law = fails_later(f"if own.slot_enu_m[0] > -4.0: {body}", west_of_m=-2.0)
     path, setting = scenario_with(tmp_path, "raises", law)
-    flown = fly_without_landing(load_scenario(path, [setting]), FlightProgress("", quiet=True, began_s=0.0))
+    quiet = FlightProgress("", quiet=True, began_s=0.0)
+    flown = fly_in_virtual_time(load_scenario(path, [setting]), quiet, recordings=tmp_path)
     assert flown.failure is not None
     assert flown.failure.startswith(f"vehicle 2: AGENT_FAILED: {text}; vehicle 3 left phase formation: LEADER_LOST: ")
     assert flown.failure.count(text) == 1
+    assert main(["replay", str(tmp_path), "--vehicle", "2"]) == 1
+    replayed = capsys.readouterr().out
+    assert replayed.startswith("vehicle 2: tick ") and "UTC" not in replayed  # virtual time has no date
+    assert replayed.endswith(f"  recorded no output\n  computed LawError: {text}\n")
+    assert main(["report", str(tmp_path), "--json"]) == 1
+    worst = json.loads(capsys.readouterr().out)["findings"][0]
+    assert (worst["code"], worst["vehicle_id"], worst["text"]) == ("AGENT_FAILED", 2, text)
 
 
 @pytest.mark.parametrize("name", list(BAD_LAWS))

@@ -18,7 +18,9 @@ from companion.cli.main import main
 from companion.core.agent import Agent
 from companion.recording.codec import encode_outbox
 from companion.recording.reader import Recording, recordings
-from companion.recording.records import Header
+from companion.recording.records import SOFTWARE, Header
+from companion.replay.command import replayed_lines
+from companion.replay.comparison import FirstDifference, ReplayResult
 from companion.types.autopilot import AttitudeTarget
 from companion.types.status import Status
 from companion.types.tick import Inbox, Outbox
@@ -167,7 +169,7 @@ def test_one_bit_in_a_command_is_found(flight: Path, tmp_path: Path, capsys: pyt
     assert code == 1
     lines = out.splitlines()
     assert lines[0].startswith(f"vehicle 2: tick {number} differs, ")
-    assert lines[0].endswith("UTC): attitude_target.pitch_rad")
+    assert lines[0].endswith(" s after the first: attitude_target.pitch_rad")  # virtual time has no date
     assert lines[2] == f"  computed {values[0]!r}"
     assert lines[1] != lines[2].replace("computed", "recorded")
 
@@ -224,6 +226,15 @@ def test_the_first_difference_of_another_version_names_it(
     assert "recorded by other 9.9, computed by formation-companion" in out
 
 
+def test_a_difference_of_a_vehicle_whose_clock_is_set_has_its_date() -> None:
+    difference = FirstDifference(tick=5, time_s=0.08, utc_s=1.7e9, field="status.phase", recorded="a", computed="b")
+    result = ReplayResult(vehicle_id=1, session=1, software=SOFTWARE, ticks=5, difference=difference)
+    first = next(iter(replayed_lines("vehicle 1", result)))
+    assert first == (
+        "vehicle 1: tick 5 differs, 0.080 s after the first (2023-11-14 22:13:20.000000 UTC): status.phase"
+    )
+
+
 def test_an_agent_that_fails_is_a_difference(
     flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -239,7 +250,9 @@ def test_an_agent_that_fails_is_a_difference(
     monkeypatch.setattr(Agent, "step", failing)
     code, out, _ = replayed(rewritten(flight, tmp_path, unchanged), capsys)
     assert code == 1
-    assert "UTC): the agent\n  recorded an output\n  computed ZeroDivisionError: division by zero\n" in out
+    assert (
+        " s after the first: the agent\n  recorded an output\n  computed ZeroDivisionError: division by zero\n" in out
+    )
     code, out, _ = replayed(tmp_path, capsys, "--law", "weighted")
     assert code == 2
     assert "the agent fails at tick" in out
