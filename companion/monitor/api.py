@@ -127,6 +127,17 @@ class FleetView(Struct, frozen=True, kw_only=True):
     )  # neighbours by range: how much longer the weakest link that holds the fleet together may get
     link_margin_pair: tuple[int, int] | None
     data_age_worst_s: float | None
+    battery_lowest: BatteryView | None
+    position_error_worst_m: float | None  # one sigma, horizontal
+    wind_acceleration_enu_m_s2: Vector3 | None  # mean of the vehicles in the air; None without one
+
+
+class BatteryView(Struct, frozen=True):
+    """The battery with the lowest charge. `left_min`: until it is empty, by its last minute; None while unknown."""
+
+    vehicle_id: int
+    percent: float
+    left_min: float | None
 
 
 class AlarmView(Struct, frozen=True, kw_only=True):

@@ -16,6 +16,7 @@ from companion.config.law import LawSection, law_of
 from companion.geometry.formations import separation_distance_m
 from companion.ground.fleet_state import SILENT_AFTER_S
 from companion.monitor.api import FleetView, VehicleView
+from companion.monitor.batteries import Batteries
 from companion.types.flight import STREAMING, Role
 from companion.types.values import Vector3
 
@@ -36,6 +37,7 @@ class FleetFigures:
         self._file = file
         self._slots_enu_m = tuple([(member.id, member.slot_enu_m) for member in file.vehicles]) if file else ()
         self._separations: deque[tuple[float, float]] = deque(maxlen=int(TREND_S / SAMPLE_S) + 1)
+        self._batteries = Batteries()
         self._figured_s = -inf
         self._convergence: tuple[float | None, float | None] = (None, None)
         self._link: tuple[float, Pair] | None = None
@@ -68,6 +70,9 @@ class FleetFigures:
             data_age_worst_s=max(
                 (v.data_age_s for v in vehicles if not v.silent and v.data_age_s is not None), default=None
             ),
+            battery_lowest=self._batteries.lowest(now_s, vehicles),
+            position_error_worst_m=max((v.position_error_m[0] for v in fresh if v.position_error_m), default=None),
+            wind_acceleration_enu_m_s2=mean_wind_enu_m_s2(fresh),
         )
 
     def _missing(self, vehicles: Sequence[VehicleView]) -> tuple[int, ...]:
@@ -97,6 +102,15 @@ class FleetFigures:
         mean_d = sum(d for _, d in samples) / len(samples)
         spread = sum([(t - mean_t) * (t - mean_t) for t, _ in samples])
         return round(sum([(t - mean_t) * (d - mean_d) for t, d in samples]) / spread, 3)
+
+
+def mean_wind_enu_m_s2(vehicles: Iterable[VehicleView]) -> Vector3 | None:
+    """What the agents estimate while they send setpoints; None where none does."""
+    winds = [v.wind_acceleration_enu_m_s2 for v in vehicles if v.phase in STREAMING]
+    if not winds:
+        return None
+    x, y, z = (round(sum(axis) / len(winds), 3) for axis in zip(*winds, strict=True))
+    return x, y, z
 
 
 def _positions_enu_m(vehicles: Iterable[VehicleView]) -> dict[int, Vector3]:

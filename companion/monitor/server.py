@@ -39,6 +39,8 @@ from companion.monitor.api import CommandRequest, ControlView
 from companion.monitor.command_requests import reference_forms
 from companion.monitor.commander import Commander
 from companion.monitor.station import Station
+from companion.types.commands import CommandName
+from companion.types.flight import RULES
 from companion.types.values import quoted
 from companion.types.vehicle_looks import COLOURS, DASHES, ink_on
 
@@ -177,10 +179,11 @@ TYPES = {
     ".txt": "text/plain",
 }
 PRELOADS = b"<!-- preloads -->"  # in index.html
-REFERENCE_FORMS, SHAPE_NAMES, LOOKS = (
+REFERENCE_FORMS, SHAPE_NAMES, LOOKS, PHASE_RULES = (
     b"[/* reference forms */]",
     b"[/* shapes */]",
     b"[/* vehicle looks */]",
+    b"[/* phase rules */]",
 )  # likewise
 ON_LIGHT, ON_DARK = b"/* vehicle looks on light */", b"/* vehicle looks on dark */"  # in css/theme.css
 DEEPEST_ZOOM = 24
@@ -205,6 +208,7 @@ def page_files(folder: Path = PAGE) -> Mapping[str, PageFile]:
     index = index.replace(LOOKS, _encoder.encode({"colours": len(COLOURS), "dashes": DASHES}))
     theme = bodies["css/theme.css"].replace(ON_LIGHT, _colours([one.on_light for one in COLOURS]))
     bodies["css/theme.css"] = theme.replace(ON_DARK, _colours([one.on_dark for one in COLOURS]))
+    index = index.replace(PHASE_RULES, _encoder.encode(phase_rules()))
     bodies["index.html"] = index.replace(REFERENCE_FORMS, _encoder.encode(reference_forms()))
     return {path: PageFile(body, TYPES[Path(path).suffix], sha256(body).hexdigest()) for path, body in bodies.items()}
 
@@ -213,6 +217,15 @@ def _colours(colours: Sequence[str]) -> bytes:
     """The colours of the vehicles in the style sheet, each with that of text on it."""
     lines = (f"--vehicle-{n}: {one};\n  --on-vehicle-{n}: {ink_on(one)};" for n, one in enumerate(colours, start=1))
     return "\n  ".join(lines).encode()
+
+
+def phase_rules() -> dict[str, dict[str, Any]]:
+    """Of each phase command: the phases that allow it, and whether that is on the ground. The page's `arm` prepares first."""
+    allowed = {name: rule.allowed for name, rule in RULES.items()}
+    allowed[CommandName.ARM] |= allowed.pop(CommandName.PREPARE)
+    return {
+        str(name): {"phases": sorted(phases), "on_ground": RULES[name].on_ground} for name, phases in allowed.items()
+    }
 
 
 def _preloads(paths: Iterable[str]) -> bytes:

@@ -24,6 +24,7 @@ from companion.ground.session import FleetSession
 from companion.monitor.api import (
     TOKEN_HEADER,
     AlarmView,
+    BatteryView,
     FlagView,
     FleetView,
     NearestView,
@@ -95,6 +96,9 @@ FLEET = FleetView(
     link_margin_m=None,
     link_margin_pair=None,
     data_age_worst_s=0.06,
+    battery_lowest=BatteryView(2, 71.0, 9.5),
+    position_error_worst_m=0.04,
+    wind_acceleration_enu_m_s2=None,
 )
 ALARM = AlarmView(
     id=1,

@@ -21,6 +21,7 @@ from companion.monitor.api import (
     LIVE_PROTOCOL,
     AlarmView,
     AnswerView,
+    BatteryView,
     CommandRequest,
     CommandResult,
     ControlView,
@@ -161,6 +162,13 @@ def page_fleet_of(vehicles: list[VehicleView], name: str = "ring") -> FleetView:
         link_margin_m=11.5,
         link_margin_pair=(3, 4),
         data_age_worst_s=0.11,
+        battery_lowest=min(
+            (BatteryView(v.vehicle_id, v.battery_percent, 7.4) for v in seen if v.battery_percent is not None),
+            key=lambda battery: battery.percent,
+            default=None,
+        ),
+        position_error_worst_m=0.31,
+        wind_acceleration_enu_m_s2=(0.21, -0.2, 0.0),
     )
 
 

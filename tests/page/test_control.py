@@ -89,6 +89,32 @@ def test_a_selected_vehicle_becomes_leader(open_page: OpenPage) -> None:
         until_shown(page, lambda: [command.content for command in server.commands] == [{"leader_ids": [2]}])
 
 
+def test_the_next_command_is_marked_and_one_that_is_refused_says_why(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+
+        def all_in(phase: str, landed: str = "on_ground") -> None:
+            server.change = lambda vs: [replace(v, phase=phase, landed=landed) for v in vs]
+
+        all_in("observe")
+        page = open_page(server.control_url)
+        next_step, marked = page.locator(".next-step"), page.locator(".actions .next")
+        expect(marked).to_have_text("Arm")
+        expect(next_step).to_have_text("Next: Arm.")
+        take_off = page.locator("[data-action=takeoff]")
+        expect(take_off).to_have_class("refused")
+        assert "Not possible: 1 is in observe, 2 is in observe" in (take_off.get_attribute("title") or "")
+        all_in("armed")
+        expect(marked).to_have_text("Take off")
+        expect(next_step).to_contain_text("within 8 s")
+        all_in("observe")
+        expect(next_step).to_contain_text("Vehicle 1, 2, 3, 4 disarmed again: no take-off within some 10 s")
+        all_in("hold", "in_air")
+        expect(marked).to_have_text("Form")
+        all_in("formation", "in_air")
+        expect(marked).to_have_count(0)
+        expect(next_step).to_have_text("")
+
+
 def test_a_formation_is_previewed_before_it_can_be_sent(open_page: OpenPage) -> None:
     with PageServer(may_control=True) as server:
         page = open_page(server.control_url)

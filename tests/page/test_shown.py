@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import pytest
@@ -96,6 +97,27 @@ def test_a_click_on_the_map_selects_the_vehicle_there(open_page: OpenPage) -> No
         expect(page.locator("#details h2")).to_contain_text("Vehicle 2")
         click_along(page, [(x + step, y) for step in range(int(box["width"] / 2.0) - 80, 0, -12)], stop_at="1")
         expect(page.locator("#details h2")).to_contain_text("Vehicle 1")
+
+
+def test_the_map_says_what_place_is_under_the_pointer(open_page: OpenPage) -> None:
+    def place(text: str) -> tuple[float, ...]:
+        return tuple(float(number) for number in re.findall(r"-?\d+\.\d+", text.replace("−", "-")))
+
+    with PageServer() as server:
+        page = open_page(server.url)
+        box, cursor = page.locator("#scene").bounding_box(), page.locator("#map-cursor")
+        assert box
+        x, y = box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0
+        page.mouse.move(x, y)
+        expect(cursor).to_contain_text(re.compile(r"m east, .* m north; \d"))
+        east_m, north_m, latitude_deg, longitude_deg = place(cursor.inner_text())
+        page.mouse.move(x + 80.0, y - 40.0)
+        moved = place(cursor.inner_text())
+        assert moved[0] - east_m == pytest.approx(2.0 * (moved[1] - north_m), abs=0.2) and moved[1] > north_m
+        assert moved[2] - latitude_deg == pytest.approx((moved[1] - north_m) / 111_200.0, rel=0.02)
+        assert moved[3] > longitude_deg
+        page.mouse.move(1.0, 1.0)
+        expect(cursor).to_have_text("")
 
 
 def test_keys_turn_the_map_into_3d_and_back(open_page: OpenPage) -> None:

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from companion.analysis.interaction import interaction_matrix
 from companion.config.law import LawSection, law_of
-from companion.monitor.api import NearestView
+from companion.monitor.api import BatteryView, NearestView, VehicleView
 from companion.monitor.fleet_figures import FleetFigures, convergence, smallest_separation, weakest_link
 from companion.types.values import Vector3
 from live_site import monitored_vehicle
@@ -39,6 +39,32 @@ def test_a_silent_vehicle_counts_where_another_one_sees_it() -> None:
     view = FleetFigures("platoon", None).view(10.0, [away, other])
     assert (view.smallest_separation_m, view.smallest_separation_pair) == (1.97, (1, 2))
     assert not view.smallest_separation_unheard
+
+
+def charged(percent: float | None, other: float | None = 80.0) -> list[VehicleView]:
+    return [monitored_vehicle(1, battery_percent=other), monitored_vehicle(2, battery_percent=percent)]
+
+
+def test_the_time_left_is_by_the_charge_lost_in_the_last_minute() -> None:
+    figures = FleetFigures("platoon", None)
+    lowest = None
+    for second in range(120):  # whole percents; 2 % a minute, then 6 %
+        percent = 50.0 - (second // 30 if second < 60 else 2 + (second - 60) // 10)
+        lowest = figures.view(1000.0 + second, charged(percent)).battery_lowest
+        assert second >= 30 or (lowest and lowest.left_min is None)
+        assert second != 60 or lowest == BatteryView(2, 48.0, pytest.approx(24.0, rel=0.25))
+    assert lowest == BatteryView(2, 43.0, pytest.approx(43.0 / 6.0, rel=0.15))
+    assert figures.view(1121.0, charged(90.0)).battery_lowest == BatteryView(1, 80.0, None)  # it has another one
+    assert figures.view(1122.0, charged(None, None)).battery_lowest is None
+
+
+def test_the_wind_is_that_of_vehicles_in_formation() -> None:
+    pushed = monitored_vehicle(1, phase="formation", wind_acceleration_enu_m_s2=(0.4, -0.2, 0.0))
+    calm = monitored_vehicle(2, phase="formation", wind_acceleration_enu_m_s2=(0.2, 0.0, 0.0))
+    landed = monitored_vehicle(3, phase="observe", wind_acceleration_enu_m_s2=(9.0, 9.0, 9.0))
+    figures = FleetFigures("platoon", None)
+    assert figures.view(10.0, [pushed, calm, landed]).wind_acceleration_enu_m_s2 == (0.3, -0.1, 0.0)
+    assert figures.view(11.0, [landed]).wind_acceleration_enu_m_s2 is None
 
 
 def test_lambda_min_and_settling_of_a_chain_of_three() -> None:

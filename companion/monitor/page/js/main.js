@@ -40,7 +40,7 @@ let arrivedMs = null; // of the oldest snapshot that is not painted yet
 
 const theme = new Theme(schedule);
 const commanding = new Commanding(store, schedule, showPreviewed);
-const map = new FleetMap(at("scene"), store, {
+const map = new FleetMap(at("scene"), at("map-cursor"), store, {
   changed: schedule,
   selected: (id, several) => act.select(id, several),
   placed: (point) => act.place(point),

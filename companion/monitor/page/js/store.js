@@ -20,6 +20,8 @@ export class Store {
     this.trails = new Trails();
     this.history = new History();
     this.events = []; // newest first
+    this.armed = new Map(); // of each vehicle that waits for its take-off, when it was armed
+    this.disarmed = new Map(); // of each that was armed and did not take off, when it was disarmed
     this.selected = new Set();
     this.preview = null; // of what has not been sent
     this.drawing = null; // {altitudeM, points, most} while points are placed on the map
@@ -77,8 +79,18 @@ export class Store {
       this.loadHistory();
     }
     this.trails.accept(snapshot);
+    this._acceptArmed();
     this.history.accept(snapshot.time_s, this.fleet, this.vehicles);
     this._addEvents(snapshot.events);
+  }
+
+  _acceptArmed() {
+    for (const { vehicle_id: id, phase, silent } of this.vehicles) {
+      if (silent) continue;
+      if (phase !== "observe") this.disarmed.delete(id);
+      if (phase === "armed") this.armed.set(id, this.armed.get(id) ?? this.snapshot.time_s);
+      else if (this.armed.delete(id) && phase === "observe") this.disarmed.set(id, this.snapshot.time_s);
+    }
   }
 
   select(id, several) {
@@ -128,6 +140,8 @@ export class Store {
   _forget() {
     this.trails.clear();
     this.history.clear();
+    this.armed.clear();
+    this.disarmed.clear();
     this.events = [];
     this.loadHistory();
   }

@@ -6,7 +6,8 @@ const KEY_TURN = Math.PI / 24;
 
 /**
  * One finger or the left button moves; Shift, Ctrl or the right button rotates and tilts; two fingers zoom, rotate and
- * move. `on.moved()` after the camera has changed, `on.clicked(x, y, event)`, `on.key(key)` for all other keys.
+ * move. `on.moved()` after the camera has changed, `on.clicked(x, y, event)`, `on.key(key)` for all other keys,
+ * `on.hovered([x, y])` with the pointer over the map, and with null when it leaves.
  */
 export function listen(canvas, camera, on) {
   const pointers = new Map();
@@ -43,7 +44,12 @@ export function listen(canvas, camera, on) {
     pointers.set(event.pointerId, [event.clientX, event.clientY]);
     canvas.setPointerCapture(event.pointerId);
   });
-  canvas.addEventListener("pointermove", move);
+  canvas.addEventListener("pointermove", (event) => {
+    const box = canvas.getBoundingClientRect();
+    on.hovered([event.clientX - box.left, event.clientY - box.top]);
+    move(event);
+  });
+  canvas.addEventListener("pointerleave", () => on.hovered(null));
   canvas.addEventListener("pointerup", end);
   canvas.addEventListener("pointercancel", end);
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());

@@ -15,6 +15,15 @@ export function drawGrid(pen) {
   for (let y = y0; y <= y1; y += step) pen.line([[x0, y, 0], [x1, y, 0]], { colour: "grid" });
 }
 
+/** The zero of the fleet frame: x to the east, y to the north. */
+export function drawOrigin(pen) {
+  const reach = 12 / pen.camera.scale;
+  pen.line([[-reach, 0, 0], [reach, 0, 0]], { colour: "quiet", width: 1.5 });
+  pen.line([[0, -reach, 0], [0, reach, 0]], { colour: "quiet", width: 1.5 });
+  const [x, y] = pen.camera.project([0, 0, 0]);
+  pen.text("0", x + 9, y + 9, { colour: "quiet", size: 10 });
+}
+
 export function drawFence(pen, file) {
   const outline = file.fence_outline_enu_m;
   if (outline.length < 3) return;

@@ -1,12 +1,13 @@
 /** The map: one canvas, its camera, and what it draws in which order. */
 
+import { number } from "../format.js";
 import { Camera } from "./camera.js";
 import { listen } from "./gestures.js";
-import { drawFence, drawGrid, drawHomes, drawNorth, drawObstacles, drawScaleBar } from "./ground.js";
+import { drawFence, drawGrid, drawHomes, drawNorth, drawObstacles, drawOrigin, drawScaleBar } from "./ground.js";
 import { drawEdges, drawSlot } from "./links.js";
 import { Pen } from "./pen.js";
 import { drawPoints, drawPreview } from "./plan.js";
-import { Tiles } from "./tiles.js";
+import { metresPerDegree, Tiles } from "./tiles.js";
 import { drawSafetyDistance, drawSmallestSeparation, drawTrail, drawVehicle, roomForLabels, trailBands } from "./vehicles.js";
 
 const TOUCH_PX = 26; // how near to a vehicle a click selects it
@@ -15,8 +16,9 @@ const LEAST_MARGIN_PX = 62; // the buttons are that wide
 
 export class FleetMap {
   /** `on.changed()` asks for a frame; `on.selected(id, several)`; `on.placed(point)` while points are drawn. */
-  constructor(canvas, store, on) {
+  constructor(canvas, cursor, store, on) {
     this._canvas = canvas;
+    this._cursor = cursor;
     this._store = store;
     this._on = on;
     this._context = canvas.getContext("2d", { alpha: false });
@@ -35,6 +37,7 @@ export class FleetMap {
       },
       clicked: (x, y, event) => this._clicked(x, y, event),
       key: (key) => this._key(key),
+      hovered: (at) => (this._cursor.textContent = at ? this._groundAt(...at) : ""),
     });
   }
 
@@ -77,6 +80,7 @@ export class FleetMap {
     this._context.fillRect(0, 0, camera.width, camera.height);
     this._tiles.draw(pen);
     drawGrid(pen);
+    drawOrigin(pen);
     this._drawPlace(pen, shown);
     this._drawFleet(pen, shown, nowMs);
     if (store.preview) drawPreview(pen, store.preview);
@@ -158,6 +162,16 @@ export class FleetMap {
       if (distance <= TOUCH_PX && (!nearest || distance < nearest.distance)) nearest = { id: vehicle.vehicle_id, distance };
     }
     this._on.selected(nearest?.id ?? null, event.shiftKey || event.ctrlKey || event.metaKey);
+  }
+
+  /** The place on the ground under the pointer, as text; latitude and longitude where the fleet file is known. */
+  _groundAt(px, py) {
+    const [x, y] = this.camera.unproject(px, py, 0);
+    const place = `${number(x, 1)} m east, ${number(y, 1)} m north`;
+    const origin = this._store.file?.origin;
+    if (!origin) return place;
+    const { east, north } = metresPerDegree(origin[0]);
+    return `${place}; ${(origin[0] + y / north).toFixed(7)}, ${(origin[1] + x / east).toFixed(7)}`;
   }
 
   _key(key) {

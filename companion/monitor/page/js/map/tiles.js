@@ -108,7 +108,7 @@ function path(zoom, x, y) {
 }
 
 /** On the WGS84 ellipsoid, as companion/geometry/frames.py. */
-function metresPerDegree(latitude) {
+export function metresPerDegree(latitude) {
   const root = Math.sqrt(1 - WGS84_E2 * Math.sin(latitude * RADIAN) ** 2);
   return {
     north: ((WGS84_A_M * (1 - WGS84_E2)) / root ** 3) * RADIAN,

@@ -1,22 +1,10 @@
 /** Commands to the fleet, only with `companion monitor --control`. */
 
 import { html, nothing } from "./lit.js";
+import { actions } from "./actions.js";
 import { answers } from "./answers.js";
 import { formationForm } from "./formation_form.js";
 import { referenceForm } from "./reference_form.js";
-
-// Those with a hold time change what the vehicles do in a way that an accidental touch must not.
-const ACTIONS = [
-  { name: "doctor", title: "Check", text: "checks before flight; sends no command" },
-  { name: "arm", title: "Arm", hold: 1, text: "prepares, then arms" },
-  { name: "takeoff", title: "Take off", hold: 1, text: "climbs vertically, then the autopilot's hold" },
-  { name: "form", title: "Form", hold: 1, text: "from hold into the formation" },
-  { name: "hold", title: "Hold", text: "from formation into the autopilot's hold" },
-  { name: "land", title: "Land", hold: 1, text: "vertically, at the present position" },
-  { name: "return", title: "Return", hold: 1, text: "to each vehicle's home and down, by the autopilot" },
-  { name: "disarm", title: "Disarm", hold: 1, text: "on the ground" },
-  { name: "take", title: "Take command", text: "from another operator" },
-];
 
 export function control({ store, commanding, nowMs, act }) {
   if (!commanding.allowed) {
@@ -29,7 +17,7 @@ export function control({ store, commanding, nowMs, act }) {
     <fieldset ?disabled=${lost}>
       <legend class="unseen">Commands</legend>
       ${targets(store, commanding, act)}
-      <div class="actions">${ACTIONS.map((action) => actionButton(action, commanding, act))}</div>
+      ${actions({ store, commanding, nowMs, act })}
       ${leader(store, commanding, act)}
     </fieldset>
     ${lost ? html`<p class="empty critical">No control without live data. ABORT is still sent if the server can be reached.</p>` : nothing}
@@ -48,17 +36,6 @@ function targets(store, commanding, act) {
   return html`<div class="targets" role="radiogroup" aria-label="Which vehicles get the command">
     ${choice(false, html`all <strong>${store.vehicles.length}</strong> of ${store.fleetName}`)}
     ${choice(true, selected.length ? html`selected: <strong>${selected.join(", ")}</strong>` : "selected: none")}</div>`;
-}
-
-function actionButton(action, commanding, act) {
-  const ids = commanding.targets;
-  const send = () => commanding.send(action.name, commanding.targets);
-  const early = () => act.hint(`Hold "${action.title}" for a second.`);
-  const title = action.hold ? `${action.text}; hold for a second` : action.text;
-  return action.hold
-    ? html`<button data-action=${action.name} data-hold=${action.hold} ?disabled=${ids === null} title=${title}
-        aria-description=${title} @held=${send} @released=${early}>${action.title}</button>`
-    : html`<button data-action=${action.name} ?disabled=${ids === null} title=${title} @click=${send}>${action.title}</button>`;
 }
 
 /** The selected vehicles become leaders: select them in the list or on the map. */

@@ -12,6 +12,7 @@ const PLOTS = [
   { key: "lateMs", title: "Tick lateness, p99", unit: "ms", digits: 1 },
 ];
 const SPANS_S = { 60: "1 min", 180: "3 min", 600: "10 min" };
+const TICKS_S = { 60: 30, 180: 60, 600: 180 }; // two or three labels, which fit beside each other
 const COMMANDS = new Set(["command"]);
 
 export class Plots {
@@ -82,7 +83,12 @@ export class Plots {
         y: { range: (_, low, high) => rangeOf(low, high) },
       },
       axes: [
-        { ...axis, size: 24, space: 70, values: (_, times) => times.map((timeS) => clock(timeS).slice(0, 8)) },
+        {
+          ...axis,
+          size: 24,
+          splits: (_, __, low, high) => multiples(TICKS_S[this._spanS], low, high),
+          values: (_, times) => times.map((timeS) => clock(timeS).slice(0, this._spanS > 60 ? 5 : 8)),
+        },
         { ...axis, size: 42, space: 24 },
       ],
       series: [{}, ...lines, ...limits].map((line) => ({ ...line, points: { show: false } })),
@@ -118,6 +124,11 @@ export class Plots {
       if (width > 60 && height > 40 && (chart.width !== width || chart.height !== height)) chart.setSize({ width, height });
     }
   }
+}
+
+function multiples(step, low, high) {
+  const first = Math.ceil(low / step);
+  return Array.from({ length: Math.max(0, Math.floor(high / step) - first + 1) }, (_, i) => (first + i) * step);
 }
 
 /** Some room about the lines, and never a scale that makes noise look like motion. */

@@ -15,7 +15,7 @@ export function vehicles({ store, nowMs, act }) {
     <table class="fleet">
       <thead><tr>
         <th scope="col">id</th><th scope="col">phase</th><th scope="col" class="mode">mode</th>
-        <th scope="col" class="n battery">battery %</th><th scope="col" class="n">altitude m</th><th scope="col" class="n">error m</th>
+        <th scope="col" class="n battery">battery %</th><th scope="col" class="n">altitude m</th><th scope="col" class="n error">error m</th>
         <th scope="col" class="n">nearest m</th><th scope="col" class="n">age</th>
       </tr></thead>
       ${repeat(store.vehicles, (vehicle) => vehicle.vehicle_id, (vehicle) =>
@@ -46,7 +46,7 @@ function rows(vehicle, store, sinceS, act) {
       <td class="n battery ${vehicle.battery_percent < LOW_BATTERY_PERCENT && vehicle.battery_percent !== null ? "warning" : ""}"
         >${number(vehicle.battery_percent, 0)}</td>
       <td class="n">${number(vehicle.data_age_s > OLD_DATA_S && !vehicle.silent ? null : vehicle.position_enu_m?.[2], 1)}</td>
-      <td class="n">${number(vehicle.error_to_slot_m, 2)}</td>
+      <td class="n error">${number(vehicle.error_to_slot_m, 2)}</td>
       <td class="n ${nearness(vehicle.nearest)}">${number(vehicle.nearest?.distance_m, 2)}</td>
       <td class="n ${vehicle.silent ? "critical" : vehicle.data_age_s > OLD_DATA_S ? "warning" : ""}"
         >${age(vehicle.silent ? ageS : vehicle.data_age_s)}</td>
@@ -58,17 +58,17 @@ function rows(vehicle, store, sinceS, act) {
 /** Vehicles of the fleet file that never reported. */
 function missing(ids) {
   return ids.map((id) => html`<tbody class="vehicle silent" data-missing=${id}>
-    <tr><th scope="row">${id}</th><td colspan="5" class="warning">no report yet</td><td class="battery"></td><td class="mode"></td></tr></tbody>`);
+    <tr><th scope="row">${id}</th><td colspan="4" class="warning">no report yet</td><td class="error"></td><td class="battery"></td><td class="mode"></td></tr></tbody>`);
 }
 
 function note(vehicle, ageS) {
   if (vehicle.silent) {
-    return html`<tr class="note critical"><td colspan="6">no report for ${age(ageS)}; the values are those of before</td><td class="battery"></td><td class="mode"></td></tr>`;
+    return html`<tr class="note critical"><td colspan="5">no report for ${age(ageS)}; the values are those of before</td><td class="error"></td><td class="battery"></td><td class="mode"></td></tr>`;
   }
   if (!vehicle.flags.length) return nothing;
   const severity = vehicle.flags.some((flag) => flag.severity === "critical") ? "critical" : "warning";
   const texts = vehicle.flags.map((flag) => `${flag.code}: ${flag.text}. Agent: ${flag.action}. ${flag.advice.replaceAll("`", "")}`);
-  return html`<tr class="note ${severity}"><td colspan="6">${texts.join(" ")}</td><td class="battery"></td><td class="mode"></td></tr>`;
+  return html`<tr class="note ${severity}"><td colspan="5">${texts.join(" ")}</td><td class="error"></td><td class="battery"></td><td class="mode"></td></tr>`;
 }
 
 function nearness(nearest) {

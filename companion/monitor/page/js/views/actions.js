@@ -1,0 +1,71 @@
+/** The buttons of the phase commands: which one comes next, and which the vehicles would refuse. They decide, not the page. */
+
+import { html, nothing } from "./lit.js";
+
+// Those with a hold time change what the vehicles do in a way that an accidental touch must not.
+const ACTIONS = [
+  { name: "doctor", title: "Check", text: "checks before flight; sends no command" },
+  { name: "arm", title: "Arm", hold: 1, text: "prepares, then arms" },
+  { name: "takeoff", title: "Take off", hold: 1, text: "climbs vertically, then the autopilot's hold" },
+  { name: "form", title: "Form", hold: 1, text: "from hold into the formation" },
+  { name: "hold", title: "Hold", text: "from formation into the autopilot's hold" },
+  { name: "land", title: "Land", hold: 1, text: "vertically, at the present position" },
+  { name: "return", title: "Return", hold: 1, text: "to each vehicle's home and down, by the autopilot" },
+  { name: "disarm", title: "Disarm", hold: 1, text: "on the ground" },
+  { name: "take", title: "Take command", text: "from another operator" },
+];
+// Of each command the phases that allow it, and whether that is on the ground: RULES of companion/types/flight.py.
+const RULES = JSON.parse(document.getElementById("phase-rules").textContent);
+const ON_THE_WAY = ["arm", "takeoff", "form"];
+const DISARM_S = 10; // PX4's COM_DISARM_PRFLT and ArduCopter's DISARM_DELAY by default
+const SAID_S = 60;
+
+export function actions({ store, commanding, nowMs, act }) {
+  const ids = commanding.targets;
+  const vehicles = store.vehicles.filter((vehicle) => !vehicle.silent && (!ids?.length || ids.includes(vehicle.vehicle_id)));
+  const next = nextOf(vehicles);
+  return html`<div class="actions">${ACTIONS.map((action) => button(action, { vehicles, next, commanding, act }))}</div>
+    <p class="next-step" role="status">${step(next, vehicles, store, nowMs)}</p>`;
+}
+
+/** The command that takes most of them on: the first one of arm, takeoff and form that a vehicle waits for. */
+export function nextOf(vehicles) {
+  return ON_THE_WAY.find((name) => vehicles.some((vehicle) => accepts(name, vehicle))) ?? null;
+}
+
+function accepts(name, { phase, landed }) {
+  const rule = RULES[name];
+  const known = landed === "on_ground" || landed === "in_air";
+  return !rule || (rule.phases.includes(phase) && (!known || (landed === "on_ground") === rule.on_ground));
+}
+
+function button(action, { vehicles, next, commanding, act }) {
+  const others = vehicles.filter((vehicle) => !accepts(action.name, vehicle));
+  const refused = vehicles.length > 0 && others.length === vehicles.length;
+  const phases = others.map((vehicle) => `${vehicle.vehicle_id} is in ${vehicle.phase}`).join(", ");
+  const title = `${action.text}${action.hold ? "; hold for a second" : ""}${phases ? `. Not possible: ${phases}` : ""}`;
+  const state = action.name === next ? "next" : refused ? "refused" : "";
+  const send = () => commanding.send(action.name, commanding.targets);
+  const early = () => act.hint(`Hold "${action.title}" for a second.`);
+  const off = commanding.targets === null;
+  return action.hold
+    ? html`<button class=${state} data-action=${action.name} data-hold=${action.hold} ?disabled=${off} title=${title}
+        aria-description=${title} @held=${send} @released=${early}>${action.title}</button>`
+    : html`<button class=${state} data-action=${action.name} ?disabled=${off} title=${title} @click=${send}>${action.title}</button>`;
+}
+
+function step(next, vehicles, store, nowMs) {
+  const timeS = store.snapshot.time_s + (store.freshness.ageS(nowMs) ?? 0);
+  const armed = vehicles.filter((vehicle) => store.armed.has(vehicle.vehicle_id)).map((vehicle) => store.armed.get(vehicle.vehicle_id));
+  if (armed.length) {
+    const leftS = Math.max(0, Math.ceil(Math.min(...armed) + DISARM_S - timeS));
+    return html`Next: <strong>Take off</strong>${leftS ? html` within <strong>${leftS} s</strong>` : " now"}: autopilots disarm some ${DISARM_S} s
+      after they were armed.`;
+  }
+  const again = vehicles.filter((vehicle) => timeS - (store.disarmed.get(vehicle.vehicle_id) ?? -Infinity) < SAID_S);
+  if (again.length) {
+    return html`<strong class="warning">Vehicle ${again.map((vehicle) => vehicle.vehicle_id).join(", ")} disarmed again</strong>: no take-off
+      within some ${DISARM_S} s after arming. Next: <strong>Arm</strong>.`;
+  }
+  return next ? html`Next: <strong>${ACTIONS.find((action) => action.name === next).title}</strong>.` : nothing;
+}
