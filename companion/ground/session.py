@@ -321,7 +321,8 @@ class FleetSession(GroundConnection):
         if fleet is None or key != reply_key(fleet, reply.vehicle_id):
             self.rejected[Code.PEER_KEY_MISMATCH] += 1
             return
-        if reply.operator != self.operator or (reply.vehicle_id, reply.number) not in self._asked:
+        is_other = reply.operator != self.operator or (reply.vehicle_id, reply.number) not in self._asked
+        if is_other and reply.code is not Code.CHECK_PASSED:  # to a check of another program
             self._undrained_replies.append((fleet, reply))
         for mailbox in self._mailboxes:
             mailbox.append(reply)

@@ -295,9 +295,11 @@ class PathView(Struct, frozen=True):
 
 
 class Preview(Struct, frozen=True):
-    """`POST /api/v1/preview` with a CommandRequest of `formation` or `reference`: nothing is sent to a vehicle.
+    """`POST /api/v1/preview` with a CommandRequest of `formation` or `reference`: a check of it. Nothing changes.
 
-    `paths` of a formation: from the present slot to the new one. `track_enu_m` of a reference: where it goes.
+    `paths` of a formation: from the present slot to the new one. `track_enu_m` of a reference: where it goes. `answers` are
+    those of the vehicles to the check; none where the ground refuses. `instead` has keys of the content with values that
+    would be accepted, where they are known.
     """
 
     paths: tuple[PathView, ...] = ()
@@ -305,6 +307,8 @@ class Preview(Struct, frozen=True):
     smallest_separation_m: float | None = None
     lasts_s: float | None = None
     refused: str = ""
+    answers: tuple[AnswerView, ...] = ()
+    instead: dict[str, float] = {}
 
 
 class HistorySample(Struct, frozen=True, array_like=True):

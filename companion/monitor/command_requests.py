@@ -15,7 +15,7 @@ from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import check_slots
 from companion.config.planned_flight import ShapeName
 from companion.config.reference import PLACED, Asked, Reference, commanded
-from companion.config.reference_check import reference_problems
+from companion.config.reference_check import accepted_values, reference_problems
 from companion.config.validation import in_plain_words
 from companion.config.values import PositionM
 from companion.geometry.formations import closest_approach, to_separation_metric, turned_slot
@@ -44,7 +44,7 @@ ABORT, DOCTOR, HOLD, LAND = "abort", "doctor", "hold", "land"
 SIMPLE = ("arm", "takeoff", "form", HOLD, LAND, "return", "disarm", "take")
 CHANGES = ("leader", "formation", "reference")
 ACTIONS = (*SIMPLE, ABORT, DOCTOR, *CHANGES)
-UNITS = {"_m_s": "m/s", "_m": "m", "_s": "s"}  # by the end of a key
+UNITS = {"_m_s2": "m/s²", "_m_s": "m/s", "_m": "m", "_s": "s"}  # by the end of a key
 REQUEST = Path("request")  # named in an error in place of a file
 
 T = TypeVar("T", bound=Struct)
@@ -231,15 +231,13 @@ def _in_fleet_frame(slot_enu_m: Vector3, status: Status, reference_enu_m: Vector
 def _reference(reference: Reference, fleet: FleetConfig, statuses: Sequence[Status]) -> Preview:
     """The track of the reference; None as time where it has no end."""
     slots_enu_m = flown_slots_enu_m(statuses)
-    problems = [
-        ConfigError("reference", one.field, one.text)
-        for one in reference_problems(fleet, reference, "reference", slots_enu_m)
-    ]
+    problems = list(reference_problems(fleet, reference, "reference", slots_enu_m))
     lasts_s = reference.whole_s()
     curve, points = reference.curve(), TRACK_POINTS if lasts_s else 1
     track = [curve((lasts_s or 0.0) * index / max(1, points - 1))[0] for index in range(points)]
     return Preview(
         track_enu_m=tuple(rounded(point, 3) for point in track),
         lasts_s=None if lasts_s is None else float(ceil(lasts_s)),
-        refused="; ".join(problem.lines[0].removeprefix("reference: ") for problem in problems),
+        refused="; ".join(f"{problem.field}: {problem.text}" for problem in problems),
+        instead=dict(accepted_values(reference, problems)),
     )

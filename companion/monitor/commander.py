@@ -7,9 +7,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, Protocol, TypeVar
 
+from msgspec.structs import replace
+
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
-from companion.ground.answers import AnswerKind, Outcome, TimedReply, id_list, outcome_of
+from companion.ground.answers import AnswerKind, Outcome, TimedReply, accepted_instead, id_list, outcome_of
 from companion.ground.changes import FleetAction
 from companion.ground.commands import OperateError, OperatorCommands, check_content
 from companion.ground.fleet_state import SILENT_AFTER_S
@@ -50,6 +52,7 @@ class Commander:
         self._threads = ThreadPoolExecutor(max_workers=AT_ONCE, thread_name_prefix="command")
         self._abort_threads = ThreadPoolExecutor(max_workers=AT_ONCE, thread_name_prefix="abort")
         self._preview_threads = ThreadPoolExecutor(max_workers=1, thread_name_prefix="preview")
+        self._check_threads = ThreadPoolExecutor(max_workers=1, thread_name_prefix="check")
 
     async def send(self, request: CommandRequest) -> CommandResult:
         """Waits for the answers, not for the end of the action.
@@ -116,18 +119,35 @@ class Commander:
             check_content(wanted, self._fleet)
 
     async def preview(self, request: CommandRequest) -> Preview:
-        """What `formation` or `reference` would do. Nothing is sent."""
+        """What `formation` or `reference` would do, and what each vehicle says to it. Nothing changes."""
         try:
             wanted = fleet_action(request, self._fleet)
             if not (wanted.formation or wanted.reference):
                 raise OperateError("name: expected formation or reference; other commands have no preview")
-            return await self._in_thread(self._preview_threads, lambda: self._previewed(wanted))
+            preview = await self._in_thread(self._preview_threads, lambda: self._previewed(wanted))
+            if preview.refused:
+                return preview
+            return await self._in_thread(self._check_threads, lambda: self._checked(preview, wanted))
         except REFUSALS as error:
             return Preview(refused=_one_line(error))
 
     def _previewed(self, wanted: FleetAction) -> Preview:
         check_content(wanted, self._fleet)
         return preview_of(wanted, self._fleet, self._session.newest())
+
+    def _checked(self, preview: Preview, wanted: FleetAction) -> Preview:
+        """The preview with the vehicles' own answers."""
+        sent = OperatorCommands(self._session, self._fleet, WAIT_S).check(wanted)
+        refused: dict[str, list[int]] = {}
+        for vehicle_id, outcome in sorted(sent.outcomes.items()):
+            if outcome.kind is AnswerKind.REFUSED:
+                refused.setdefault(str(outcome.notice), []).append(vehicle_id)
+        return replace(
+            preview,
+            refused="; ".join(f"{id_list(ids)}: {text}" for text, ids in refused.items()),
+            answers=_views(sent.outcomes),
+            instead=accepted_instead(wanted, sent.content, sent.outcomes),
+        )
 
     async def _in_thread(self, threads: ThreadPoolExecutor, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(threads, work)
@@ -165,7 +185,7 @@ class Commander:
     def close(self) -> None:
         """What is being sent ends at its next step."""
         self._end(self._running, "the end of the server")
-        for threads in (self._threads, self._abort_threads, self._preview_threads):
+        for threads in (self._threads, self._abort_threads, self._preview_threads, self._check_threads):
             threads.shutdown(wait=False, cancel_futures=True)
 
 

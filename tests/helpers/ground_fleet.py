@@ -363,6 +363,7 @@ class LinkedVehicles:
     answer: Answering = accept
     commands: list[tuple[int, Command]] = field(default_factory=list)  # each once
     silent: set[int] = field(default_factory=set)  # ids that do not report
+    answer_check: Answering = accept
 
     def received(self, name: str) -> list[int]:
         """The vehicles that have received a command of this name."""
@@ -380,6 +381,8 @@ class LinkedVehicles:
                         self.commands.append((vehicle_id, command))
                     reply = self.answer(vehicle_id, command)
                     link.reply([reply] if reply else [])
+                replies = [self.answer_check(vehicle_id, check) for check in link.checks()]
+                link.reply([reply for reply in replies if reply])
 
 
 @contextmanager

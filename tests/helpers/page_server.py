@@ -218,6 +218,7 @@ class PageServer:
         self.token = TOKEN
         self.port = port
         self.change: Change = lambda vehicles: vehicles
+        self.unreachable: tuple[str, ...] = ()  # with these no vehicle reports
         self.alarms: list[AlarmView] = []
         self.events: list[EventView] = []  # taken by the next snapshot
         self.replay: ReplayView | None = None
@@ -293,15 +294,16 @@ class PageServer:
             self.replay = structs.replace(self.replay, now_s=self.replay.now_s + 0.1 * self.replay.speed)
         now_s = self.replay.now_s if self.replay else time.time()
         vehicles = self.vehicles(now_s)
-        fleets: list[FleetView] = [page_fleet_of(vehicles, self.fleet_name)]
+        vehicles = [] if self.unreachable else vehicles
+        fleets: list[FleetView] = [page_fleet_of(vehicles, self.fleet_name)] if vehicles else []
         events, self.events = tuple(self.events), []
         return Snapshot(
             number=self._number,
             time_s=now_s,
             may_control=self.may_control,
             operator="ground-anna",
-            connected=tuple(f"tcp/192.168.1.{10 + i}:7447" for i in range(self.count)),
-            unreachable=(),
+            connected=tuple(f"tcp/192.168.1.{10 + i}:7447" for i in range(len(vehicles))),
+            unreachable=self.unreachable,
             vehicles=tuple(vehicles),
             fleets=tuple(fleets),
             alarms=tuple(self.alarms),
@@ -396,6 +398,9 @@ class PageServer:
         spacing_m = command.content["spacing_m"]
         if spacing_m < 2.5:
             return _json(Preview(refused=f"SLOT_TOO_CLOSE: slots {spacing_m} m apart, separation_m is 2.5 m"))
+        if spacing_m > 40.0:
+            refused = "vehicles 1, 2, 3, 4: SLOT_OUTSIDE_FENCE: formation: too wide for the fence"
+            return _json(Preview(refused=refused, instead={"spacing_m": 40.0}))
         shape = SHAPES[command.content["shape"]]
         slots = shape_slots(shape, self.count, spacing_m, radians(command.content["heading_deg"]))
         leader, *_ = vehicles = self.vehicles(time.time())
@@ -404,7 +409,10 @@ class PageServer:
             PathView(v.vehicle_id, v.slot_position_enu_m or v.position_enu_m, (x + dx, y + dy, z + dz))
             for v, (dx, dy, dz) in zip(vehicles, slots, strict=True)
         )
-        return _json(Preview(paths=paths, smallest_separation_m=2.81, lasts_s=6.2))
+        would = tuple(
+            AnswerView(v.vehicle_id, "accepted", "CHECK_PASSED", "would be accepted", ANSWER_MS) for v in vehicles
+        )
+        return _json(Preview(paths=paths, smallest_separation_m=2.81, lasts_s=6.2, answers=would))
 
     async def _acknowledge(self, request: web.Request) -> web.Response:
         if self.may_control and request.headers.get("X-Companion-Token") != self.token:

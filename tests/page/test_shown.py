@@ -46,6 +46,21 @@ def test_every_vehicle_has_a_row_and_its_details(open_page: OpenPage) -> None:
         expect(page.locator("#abort")).to_have_count(0)
 
 
+def test_a_page_without_vehicles_says_why_and_what_starts_some(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        server.unreachable = tuple(
+            f"tcp/127.0.0.1:{7448 + i}: connection refused; no agent listens there" for i in range(7)
+        )
+        page = open_page(server.url)
+        lines = page.locator("#vehicles .empty li")
+        expect(lines.nth(0)).to_have_text(server.unreachable[0])
+        expect(lines.last).to_have_text("and 2 more")
+        expect(page.locator("#vehicles .empty code").last).to_have_text("sitl fleet platoon")
+        server.unreachable = ()
+        expect(page.locator("tbody.vehicle")).to_have_count(4)
+        expect(page.locator("#vehicles .empty")).to_have_count(0)
+
+
 def test_a_changed_vehicle_changes_its_row(open_page: OpenPage) -> None:
     with PageServer() as server:
         page = open_page(server.url)

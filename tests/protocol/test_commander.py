@@ -20,7 +20,7 @@ from companion.monitor.access import MOST_OF_ADDRESS
 from companion.monitor.api import LIVE_PROTOCOL, TOKEN_HEADER, TOKEN_PROTOCOL
 from companion.monitor.commander import readiness_view
 from companion.types.commands import Command, CommandName, CommandReply
-from companion.types.formation import FlownSlot
+from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Code
 from companion.wire.messages import StatusReport
 from ground_fleet import LinkedVehicles, accept, linked_vehicles
@@ -403,6 +403,33 @@ def test_doctor_tells_warnings_of_a_vehicle_that_is_ready() -> None:
     assert readiness_view(2, checks[:1]).kind == "ready"
     failed = readiness_view(2, [Check("peers", (Code.PEER_STALE,), "no fresh report"), *checks])
     assert (failed.kind, failed.code) == ("not ready", "PEER_STALE")
+
+
+def test_a_preview_has_the_vehicles_own_answers_and_what_they_would_accept() -> None:
+    def refuse_wide(vehicle_id: int, check: Command) -> CommandReply:
+        assert isinstance(check.content, FormationChange)
+        width_m = max(abs(slot[1]) for _, slot in check.content.slots_enu_m)
+        if vehicle_id == 1 or width_m < 40.01:
+            return CommandReply(vehicle_id, check.number, True, Code.CHECK_PASSED, "would be accepted", check.operator)
+        accepts = (("scale", 40.0 / width_m),)
+        code = Code.SLOT_OUTSIDE_FENCE
+        return CommandReply(vehicle_id, check.number, False, code, "formation: too wide", check.operator, accepts)
+
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        vehicles.answer_check = refuse_wide
+        content = {"shape": "line", "spacing_m": 200.0}
+        wanted = {"fleet": "load", "name": "formation", "content": content}
+        _, answer = await server.post("/api/v1/preview", wanted, **{TOKEN_HEADER: TOKEN})
+        assert answer["refused"] == "vehicles 2, 3: SLOT_OUTSIDE_FENCE: formation: too wide"
+        assert [one["kind"] for one in answer["answers"]] == ["accepted", "refused", "refused"]
+        assert answer["instead"] == {"spacing_m": 40.0}
+        content |= answer["instead"]
+        _, answer = await server.post("/api/v1/preview", wanted, **{TOKEN_HEADER: TOKEN})
+        assert (answer["refused"], answer["instead"]) == ("", {})
+        assert [one["kind"] for one in answer["answers"]] == ["accepted"] * 3
+        assert vehicles.commands == []
+
+    with_fleet(work)
 
 
 def test_a_preview_sends_nothing() -> None:

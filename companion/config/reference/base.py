@@ -38,9 +38,9 @@ class Asked:
 
 
 PERIOD = Asked("--period", "of one lap of a circle or figure 8, seconds", "Period", 40.0)
-RAMP = Asked("--ramp", "until a circle or figure 8 reaches its speed, seconds")
+RAMP = Asked("--ramp", "until a circle or figure 8 reaches its speed, seconds", "Time to full speed")
 SPEED = Asked("--speed", "limit for waypoints or a target, m/s", "Speed")
-ACCELERATION = Asked("--acceleration", "limit for waypoints or a target, m/s^2")
+ACCELERATION = Asked("--acceleration", "limit for waypoints or a target, m/s^2", "Acceleration")
 
 
 class Slower(NamedTuple):
