@@ -19,7 +19,7 @@ from companion.types.notices import Code
 from companion.types.values import Vector3
 from sitl.flight.orders import Refusal
 from sitl.flight.scenario import Scenario
-from sitl.flight.virtual_flight import Flown, fly_without_landing
+from sitl.flight.virtual_flight import Flown, JobProgress, fly_without_landing, lasts_s
 from sitl.flight.virtual_vehicle import BoolArray, VirtualStandIn
 from sitl.flight.watch import FlightWatch
 from sitl.gauntlet.drawing import Drawn, ImpossibleFlightError, draw_flight, family_of
@@ -93,7 +93,7 @@ def fly_drawn(job: Job, flight: Drawn, began_s: float) -> FlightOutcome:
         runaway=flight.runaway,
     )
     try:
-        flown = fly_without_landing(scenario, FlightProgress("gauntlet", True, 0.0))
+        flown = fly_without_landing(scenario, JobProgress(lasts_s(scenario)))
     except Exception:  # noqa: BLE001 -- any defect of an agent is an outcome, and the other flights go on
         return replace(known, exception=traceback.format_exc(), cpu_s=_cpu_s(began_s))
     found, arrived = distances(flown.stand_ins, flight.handed_over), arrivals(flight, flown)
