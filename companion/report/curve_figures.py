@@ -17,6 +17,7 @@ from companion.report.autopilot_logs import MatchedLog, Series
 from companion.report.distances import PairDistance, in_formation
 from companion.report.flight import FlightRecords, Floats, VehicleLog
 from companion.report.plotting import (
+    COLUMNS,
     GREY,
     LIMIT,
     DrawnFigure,
@@ -25,8 +26,8 @@ from companion.report.plotting import (
     dress_panel,
     dress_time,
     finish,
+    marked_pair_look,
     new_figure,
-    pair_look,
     plot,
     render,
     vehicle_look,
@@ -106,7 +107,7 @@ def draw_distances(flight: FlightRecords, pairs: Sequence[PairDistance], axis: T
     """The pair that came nearest is thick, with what the separation filter of its vehicles required."""
     curves = []
     for index, pair in reversed(list(enumerate(pairs[:MOST_PAIRS]))):
-        label, style = f"{pair.pair[0]}-{pair.pair[1]}", pair_look(pair.pair, index)
+        label, style = f"{pair.pair[0]}-{pair.pair[1]}", marked_pair_look(pair.pair, index, 2 * COLUMNS)
         if index == 0 and pair.judged.any():
             label, style = f"{label}, smallest {pair.smallest_m:.2f} m", style | {"linewidth": 2.4}
             nearest = np.array([pair.smallest_at_s]), np.array([pair.smallest_m])
