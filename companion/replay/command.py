@@ -8,16 +8,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import partial
 from hashlib import sha256
 from math import degrees
 from pathlib import Path
 from shlex import join
-from typing import TypeVar
 
 import msgspec
 
-from companion.config.code_file import UnreadCodeError, load_code, read_beside
+from companion.config.code_file import UnreadCodeError, read_beside
 from companion.config.file import ConfigError
 from companion.recording.alignment import FIRST_DATE_UNIX_S
 from companion.recording.reader import Recording, RecordingError, recordings
@@ -35,8 +33,6 @@ from companion.replay.comparison import (
 from companion.types.autopilot import AttitudeTarget
 from companion.types.errors import UnusableError
 from companion.types.values import printable, printable_lines
-
-T = TypeVar("T")
 
 EXIT_EQUAL, EXIT_DIFFERENT, EXIT_UNUSABLE = 0, 1, 2
 SHOWN_EVERY = 500  # ticks
@@ -97,10 +93,11 @@ def _replay_all(options: ReplayOptions, found: Sequence[Recording]) -> int:
 
 def _replayed(folder: Path, recording: Recording, progress: Progress) -> ReplayResult:
     try:
-        return _with_code(recording, lambda: replay(recording, progress, _warn))
+        return replay(recording, progress, _warn)
     except UnreadCodeError as error:
         flown = f"it was flown with {error.file} (SHA-256 {error.sha256}), and a recording has no code"
-        unusable = f"{flown}; give the same content: {join(['companion', 'replay', str(folder), '--code', error.file])}"
+        command = join(["companion", "replay", str(folder), "--code", _code_beside(recording, error)])
+        unusable = f"{flown}; look at it, then: {command}"
     except ConfigError as error:
         unusable = str(error)
     header = recording.header
@@ -109,24 +106,14 @@ def _replayed(folder: Path, recording: Recording, progress: Progress) -> ReplayR
     )
 
 
-def _with_code(recording: Recording, run: Callable[[], T]) -> T:
-    """`run`, with the code beside the recording where it needs some. Raises ConfigError."""
-    while True:
-        try:
-            return run()
-        except UnreadCodeError as error:
-            if not _loaded_beside(recording.parts[0].path, error):
-                raise
-
-
-def _loaded_beside(recording: Path, wanted: UnreadCodeError) -> bool:
-    """Load the file of this name in the folder of the recording, where `sitl run --record` leaves it, if it has the content
-    that was flown. Raises ConfigError where others could have written it.
+def _code_beside(recording: Recording, wanted: UnreadCodeError) -> str:
+    """The file of this name beside the recording, where `sitl run --record` leaves it, if it has the content that was flown;
+    else the name that it had. It is named and not run: who has made the recording may have made the file.
     """
-    file = recording.parent / Path(wanted.file).name
-    if not file.is_file() or sha256(read_beside(Path(file.name), recording)).hexdigest() != wanted.sha256:
-        return False
-    return load_code(Path(file.name), recording).sha256 == wanted.sha256
+    file = recording.parts[0].path.parent / Path(wanted.file).name
+    if file.is_file() and sha256(read_beside(Path(file.name), recording.parts[0].path)).hexdigest() == wanted.sha256:
+        return str(file)
+    return wanted.file
 
 
 # ------------------------------------------------------------ other settings
@@ -138,8 +125,7 @@ def _compare_all(options: ReplayOptions, found: Sequence[Recording]) -> int:
         for name, recording in zip(names, found, strict=True):
             try:
                 with _shown_progress(name) as progress:
-                    run = partial(compare, recording, options.overrides, row, progress, _warn)
-                    results.append(_with_code(recording, run))
+                    results.append(compare(recording, options.overrides, row, progress, _warn))
             except ConfigError as error:
                 raise UnusableError(str(error)) from error
     if options.as_json:

@@ -153,9 +153,13 @@ class Director:
     def _try(self, step: TimelineStep) -> None:
         """A step that may fail: refusals are recorded, and its time passes whatever the vehicles do."""
         self.refusals += Order(self._session, self._watch, step, self._clock).attempt(self._pass)
-        if step.command is CommandName.FORM and self._leaders_formed():
-            self._watch.begin_formation()
-        self._pass_until(self._clock.now_s() + step.for_s)
+        until_s = self._clock.now_s() + step.for_s
+        if step.command is CommandName.FORM:
+            while not self._leaders_formed() and self._clock.now_s() < until_s:  # a real autopilot takes its time
+                self._pass()
+            if self._leaders_formed():
+                self._watch.begin_formation()
+        self._pass_until(until_s)
 
     def _leaders_formed(self) -> bool:
         leads = [status.phase for status in self._watch.statuses() if status.leadership.role is Role.LEADER]

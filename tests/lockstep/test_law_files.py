@@ -90,7 +90,9 @@ def test_a_recorded_flight_replays_with_its_file_alone(
     assert main(["replay", str(recordings)]) == 2
     assert "a recording has no code" in capsys.readouterr().out
     beside.write_text(copy.read_text(encoding="utf-8"), encoding="utf-8")
-    assert main(["replay", str(recordings), "--vehicle", "2"]) == 0
+    assert main(["replay", str(recordings), "--vehicle", "2"]) == 2
+    assert f"--code {beside}" in capsys.readouterr().out  # named, and not run unasked
+    assert main(["replay", str(recordings), "--vehicle", "2", "--code", str(beside)]) == 0
 
 
 def test_a_flight_with_another_file_is_another_formation(tmp_path: Path) -> None:

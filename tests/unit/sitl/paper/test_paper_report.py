@@ -238,7 +238,7 @@ def test_the_ideal_model_is_a_double_integrator() -> None:
 
 @pytest.mark.parametrize(
     ("cores", "text"),
-    [(1, "about 6 minutes on 1 quiet core;"), (2, "about 3 minutes on 2 quiet cores;"), (64, "about 1 minute on 64")],
+    [(1, "about 2 minutes on 1 quiet core;"), (2, "about 1 minute on 2 quiet cores;"), (64, "about 1 minute on 64")],
 )
 def test_it_says_beforehand_how_long_it_takes(cores: int, text: str) -> None:
     assert duration_text(full=False, cores=cores).startswith(text)
