@@ -286,6 +286,7 @@ def test_a_reference_is_commanded_to_vehicles_that_may_lead() -> None:
     assert flown.watch.commands[-1].vehicles == [1, 2]
 
 
+@pytest.mark.long
 def test_a_flight_for_real_autopilots_takes_its_times_from_take_off() -> None:
     flight = next(draw_real(AutopilotKind.PX4, 1, ("formation_change",)))
     flown = fly_in_virtual_time(flight.scenario, FlightProgress("real", True, 0.0))

@@ -67,7 +67,7 @@ def test_natnet_frames_say_their_age_and_motioncapture_takes_that_of_the_file() 
 
 @pytest.mark.parametrize("system", WITNESSES)
 def test_a_lost_body_is_not_shown_though_its_last_pose_is_sent(system: str) -> None:
-    lost = CaptureFault(kind="lost", vehicle=2, at_s=6.0, for_s=1000.0)
+    lost = CaptureFault(kind="lost", vehicle=2, at_s=3.0, for_s=1000.0)
     with serving("y", "x", lost) as file, witness(system, file.port) as cameras:
         complete(cameras)
         frame_with(cameras, "vehicle_1")
@@ -89,7 +89,7 @@ def test_without_a_server_one_line_says_what_to_check(system: str) -> None:
     if importlib.util.find_spec(WITNESSES[system]) is None:
         pytest.skip(f"the package {WITNESSES[system]} is not installed: it has no wheel for this machine")
     source = CameraSource(system, "127.0.0.1", port, latency_s=0.0)
-    with CameraReader(source, connect_within_s=4.0) as cameras, pytest.raises(FailedError) as raised:
+    with CameraReader(source, connect_within_s=2.0) as cameras, pytest.raises(FailedError) as raised:
         cameras.first()
     assert str(raised.value).startswith("no frame from 127.0.0.1 within ")
     assert "check host, that Motive streams" in str(raised.value)
