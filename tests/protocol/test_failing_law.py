@@ -36,7 +36,7 @@ def test_a_law_that_fails_ends_in_hold(vehicle: TappedFlight) -> None:
 
 
 def test_a_law_that_takes_long_leaves_the_formation(vehicle: TappedFlight) -> None:
-    use_law(vehicle, "slow", fails_later("sum(range(300000))"))
+    use_law(vehicle, "slow", fails_later("sum(range(700000))"))
     with agent(vehicle.files) as process:
         process.wait_for_log("heartbeat of autopilot 1")
         vehicle.forget_reports()  # those of the agent before
