@@ -9,7 +9,7 @@ from hypothesis import settings
 from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
 
-pytest_plugins = ["pytester", "starvation", "fault_table"]
+pytest_plugins = ["pytester", "starvation", "fault_table", "drawn_figures"]
 
 REAL_TIME = {"protocol", "fleet", "faults", "page"}  # folders beside this file
 

@@ -26,6 +26,7 @@ from sitl.stopping import StopNow, StopRequest
 from sitl.workers import POLL_S, Workers
 
 SCHEMA = 1
+STOPPED_EARLY = "stopped before the first flight was complete"
 
 
 class GauntletReport(Struct, frozen=True, kw_only=True):
@@ -42,6 +43,8 @@ def run_gauntlet(arguments: argparse.Namespace) -> int:
     own = load_fleet(arguments.fleet) if arguments.fleet else None
     if arguments.external:
         return _run_real(arguments, own)
+    if arguments.binary:
+        raise UnusableError("--binary: goes with --external, whose program it names")
     families = parse_families(arguments.families, ALL_FAMILIES)
     with (
         StopRequest("stopped at once; nothing was written") as stop,
@@ -65,12 +68,14 @@ def run_gauntlet(arguments: argparse.Namespace) -> int:
 
 def _run_real(arguments: argparse.Namespace, own: FleetConfig | None) -> int:
     """The same on real autopilots."""
+    if arguments.sensors:
+        raise UnusableError("--sensors: are those of the autopilots' own simulations with --external")
     families = parse_families(arguments.families, REAL_FAMILIES)
     with StopRequest("stopped at once; the vehicles were not landed") as stop:
         folder = results_folder(arguments.out, f"gauntlet-{arguments.external}")
         outcomes = fly_real_flights(arguments, families, own, folder, stop)
     if not outcomes:
-        raise UnusableError("stopped before the first flight was complete")
+        raise StopNow(STOPPED_EARLY, stop.exit_code)
     code = _finish(arguments, folder, outcomes, [])
     return stop.exit_code if stop.number else code
 
@@ -93,7 +98,7 @@ def _fly_all(workers: Workers, jobs: list[Job], progress: ShareProgress, stop: S
             if stop.number and so_far:
                 return so_far
             if stop.number:
-                raise StopNow("stopped before the first flight was complete", stop.exit_code)
+                raise StopNow(STOPPED_EARLY, stop.exit_code)
         return in_progress.results()
 
 

@@ -7,7 +7,7 @@ import pytest
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from fault_table import FaultRow
-from process_fleet import FAULT_AT_S, IDS, SEPARATION_M, FaultyFleet, demanded, faulty_fleet
+from process_fleet import FAULT_AT_S, IDS, FaultyFleet, demanded, faulty_fleet
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240), pytest.mark.every_fault]
 
@@ -18,9 +18,6 @@ INDOORS = (
     "stand_in.positioning=external_vision",
 )
 SWAPPED = "kind: swapped, vehicle: 4, other: 3"
-# Two neighbours that both land without a position drift by 0.5 to 1.5 m each in 5 s: nothing keeps 1.5 m between them,
-# and their distance is measured only.
-BOTH_BLIND_M = 0.0
 
 
 def laboratory_fault(what: str, for_s: float) -> str:
@@ -70,7 +67,7 @@ def test_a_body_that_is_shown_wrongly_for_6_s(
             row.measured.append(f"refused as {reason.text.rpartition('passed on: ')[2]}")
         others = tuple(i for i in IDS if i not in ids)
         row.outcome = f"it lands and disarms; others: {', '.join(sorted(flight.ground.phases(others)))}"
-        flight.check(row, SEPARATION_M if len(ids) == 1 else BOTH_BLIND_M)
+        flight.check(row, blind=ids)
         flight.land(others)
 
 
@@ -99,4 +96,4 @@ def test_all_land_when_no_pose_comes_at_all(tmp_path: Path, name: str, row: Faul
         measure(flight, IDS, row)
         flight.wait(lambda: not any(flight.ground.newest[i].autopilot.armed for i in IDS), 30.0)
         row.outcome = "all land and disarm"
-        flight.check(row, BOTH_BLIND_M)
+        flight.check(row, blind=IDS)

@@ -83,20 +83,6 @@ def test_28_curves_differ_without_a_legend() -> None:
     assert len(looks) == 28
 
 
-@pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """The figures that were saved."""
-    figures: list[Figure] = []
-    save = Figure.savefig
-
-    def keep(figure: Figure, *args: object, **more: object) -> None:
-        figures.append(figure)
-        save(figure, *args, **more)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(Figure, "savefig", keep)
-    return figures
-
-
 @pytest.mark.parametrize("left_in", [0.62, 2.0])
 def test_numbers_of_findings_do_not_overlap(left_in: float) -> None:
     """Twenty findings, the first ones less than a second apart."""

@@ -32,20 +32,6 @@ def flight(law: str, vehicles: int = 4) -> FormationFlight:
     return FormationFlight(law, tracks, stand_at(slots), pairs, point((1.0, 0.0, 1.0)), Formation(110.0, 135.0, 109.9))
 
 
-@pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """The figures that were saved."""
-    figures: list[Figure] = []
-    save = Figure.savefig
-
-    def keep(figure: Figure, *args: object, **more: object) -> None:
-        figures.append(figure)
-        save(figure, *args, **more)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(Figure, "savefig", keep)
-    return figures
-
-
 def legend_of(figure: Figure) -> list[str]:
     return [text.get_text() for axes in figure.axes if axes.legend_ for text in axes.legend_.get_texts()]
 
