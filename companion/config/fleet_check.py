@@ -9,8 +9,9 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
+from companion.config.degrees import LOOKS, METRES, is_in_degrees
 from companion.config.file import convert, read_as, refuse
-from companion.config.fleet import EdgeNeighbours, FleetConfig, GeodeticOrigin
+from companion.config.fleet import EdgeNeighbours, FleetConfig
 from companion.config.law import law_problems
 from companion.config.named_files import read_named
 from companion.config.validation import INVALID, Problem, each, unless_invalid
@@ -18,7 +19,6 @@ from companion.config.values import PositionM, Section, VehicleId, is_multicast
 from companion.geometry.airspace import area_m2, crossing_sides
 from companion.geometry.formations import ROUNDING_M, to_separation_metric
 from companion.types.flight import Role
-from companion.types.notices import Code, Notice
 from companion.types.values import Vector3
 
 SMALLEST_AREA_M2 = 1.0
@@ -83,31 +83,8 @@ def start_problems(fleet: FleetConfig, starts_enu_m: Mapping[int, Vector3]) -> I
             )
 
 
-NEAR_ORIGIN_DEG = 0.5
-METRES = "looks like latitude and longitude; expected metres east, north and up"
-
-
-def degree_notices(fleet: FleetConfig, starts_enu_m: Mapping[int, Vector3]) -> Iterator[Notice]:
-    """A warning about slots and starts that look like latitude and longitude near the origin."""
-    places = {f"slot_enu_m of vehicle {member.id}": member.slot_enu_m for member in fleet.vehicles}
-    places |= {f"starts_enu_m.{i}": start_enu_m for i, start_enu_m in starts_enu_m.items()}
-    if found := [place for place, position_enu_m in places.items() if _is_in_degrees(fleet, position_enu_m)]:
-        more = f", and {len(found) - 1} more like it" if len(found) > 1 else ""
-        yield Notice(Code.LOOKS_LIKE_DEGREES, f"{found[0]}: {list(places[found[0]])} {METRES}{more}")
-
-
-def _is_in_degrees(fleet: FleetConfig, position_enu_m: Vector3) -> bool:
-    """Both numbers have four decimals or more and are near those of the origin, in any order."""
-    if not isinstance(fleet.origin, GeodeticOrigin):
-        return False
-    x, y, _ = position_enu_m
-    of_origin = (fleet.origin.latitude_deg, fleet.origin.longitude_deg)
-    near = any(dist((x, y), pair) < NEAR_ORIGIN_DEG for pair in (of_origin, of_origin[::-1]))
-    return near and all(round(number, 3) != number for number in (x, y))
-
-
 def _degrees(fleet: FleetConfig, position_enu_m: Vector3) -> str:
-    return f"; it {METRES}" if _is_in_degrees(fleet, position_enu_m) else ""
+    return f"; it {LOOKS}; expected {METRES}" if is_in_degrees(fleet.origin, position_enu_m) else ""
 
 
 def _members(fleet: FleetConfig, where: str) -> Iterator[Problem]:

@@ -13,6 +13,7 @@ from typing import Protocol
 import msgspec
 
 from companion import GROUND_INSTALL
+from companion.config.degrees import degree_notices
 from companion.config.fleet import FleetConfig
 from companion.config.reference_check import check_reference
 from companion.ground.answers import AnswerKind, End, Outcome, TimedReply, outcome_of
@@ -46,6 +47,7 @@ from companion.ground.goals import (
 from companion.types.commands import CommandName, Content, Lead, next_epoch
 from companion.types.errors import CompanionError
 from companion.types.flight import FlightPhase
+from companion.types.notices import Notice
 from companion.types.status import Status
 from companion.types.values import ZERO3
 
@@ -129,7 +131,8 @@ def give(
 class Sent:
     """A command, or the check of one, with its outcome for each vehicle. `running`: some vehicle was in formation then.
 
-    `absent` vehicles do not report and got no command. `doubts`: what vehicles report that cannot be true.
+    `absent` vehicles do not report and got no command. `doubts`: what vehicles report that cannot be true. `warnings`: what of
+    the content is probably meant otherwise.
     """
 
     name: CommandName
@@ -138,6 +141,7 @@ class Sent:
     running: bool = False
     absent: tuple[int, ...] = ()
     doubts: tuple[Doubt, ...] = ()
+    warnings: tuple[Notice, ...] = ()
 
 
 class OperatorCommands:
@@ -162,7 +166,7 @@ class OperatorCommands:
             outcomes = self._all_or_none(to_send.name, ids)
         else:
             outcomes = self._give(ids, to_send.name, to_send.content)
-        return replace(to_send, outcomes=outcomes)
+        return self._sent(to_send, outcomes)
 
     def check(self, action: FleetAction) -> Sent:
         """What each vehicle would answer, by its own checks and in its own state. Nothing changes.
@@ -174,7 +178,11 @@ class OperatorCommands:
         rest = [i for i in ids if i not in first]
         answers = self._session.check(first, CommandName.PREPARE, self._wait_s) if first else {}
         answers |= self._session.check(rest, to_send.name, self._wait_s, to_send.content) if rest else {}
-        return replace(to_send, outcomes=self._outcomes(answers))
+        return self._sent(to_send, self._outcomes(answers))
+
+    def _sent(self, command: Sent, outcomes: dict[int, Outcome]) -> Sent:
+        in_degrees = degree_notices(self._fleet.origin, command.content)
+        return replace(command, outcomes=outcomes, warnings=tuple(in_degrees))
 
     def _resolved(self, action: FleetAction) -> tuple[Sequence[int], Sent]:
         """The vehicles that get the command, and the command without outcomes yet."""

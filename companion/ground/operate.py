@@ -33,6 +33,7 @@ from companion.ground.goals import Goal, advise_divided_fleet, goal_of
 from companion.ground.reports import readiness_as_data, readiness_lines, readiness_of, status_as_data, status_lines
 from companion.ground.session import FleetSession
 from companion.security.names import ParticipantRole
+from companion.types.notices import Notice
 from companion.types.status import Status
 
 if TYPE_CHECKING:
@@ -171,8 +172,8 @@ def _command(session: FleetSession, request: FleetRequest, commands: OperatorCom
     missing = any(outcome.kind is AnswerKind.MISSING for outcome in sent.outcomes.values())
     failed_endpoints = unreachable(endpoints, session.linked()) if missing else {}
     if not request.as_json:
-        more_lines = [*_absent_lines(sent.absent), *_doubt_lines(sent.doubts), *_endpoint_lines(failed_endpoints)]
-        _print([*answer_lines(sent.outcomes), *instead_lines(instead), *more_lines])
+        more_lines = [*_absent_lines(sent.absent), *_lines(sent.doubts), *_endpoint_lines(failed_endpoints)]
+        _print([*_lines(sent.warnings), *answer_lines(sent.outcomes), *instead_lines(instead), *more_lines])
     goal = goal_of(sent.name, sent.content, sent.running) if request.wait and not request.check else None
     if goal and any(outcome.kind is AnswerKind.ACCEPTED for outcome in sent.outcomes.values()):
         sent = _waited(session, request, sent, goal)
@@ -183,6 +184,7 @@ def _command(session: FleetSession, request: FleetRequest, commands: OperatorCom
         more |= {"instead": instead} if instead else {}
         more |= {"absent": list(sent.absent)} if sent.absent else {}
         more |= {"doubts": doubts_as_data(sent.doubts)} if sent.doubts else {}
+        more |= {"warnings": sent.warnings} if sent.warnings else {}
         data = answers_as_data(sent.outcomes)
         _print_json(request, data, operator=session.operator, unreachable=failed_endpoints, **more)
     elif advice:
@@ -210,8 +212,8 @@ def _absent_lines(absent: Sequence[int]) -> list[str]:
     return wrap_text("", text)
 
 
-def _doubt_lines(doubts: Sequence[Doubt]) -> list[str]:
-    return [line for doubt in doubts for line in wrap_text("", str(doubt))]
+def _lines(found: Sequence[Doubt | Notice]) -> list[str]:
+    return [line for one in found for line in wrap_text("", str(one))]
 
 
 def _endpoint_lines(failed: dict[str, str]) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from companion.config.degrees import degree_notices
 from companion.config.fleet import FleetConfig
 from companion.ground.answers import AnswerKind, wrap_text
 from companion.ground.belief import Doubt, doubts_as_data
@@ -146,12 +147,14 @@ class Check:
 def readiness_of(statuses: Mapping[int, Status], fleet: FleetConfig) -> dict[int, tuple[Check, ...]]:
     """All checks of each vehicle that reports; `fleet` is that of the file on the ground."""
     ids, own_hash = [member.id for member in fleet.vehicles], fleet.formation_hash()
-    leader = leader_check(statuses, ids)
-    return {i: (*checks_of(status, ids, own_hash), leader) for i, status in statuses.items()}
+    leader, in_degrees = leader_check(statuses, ids), list(degree_notices(fleet.origin, fleet))
+    return {i: (*checks_of(status, ids, own_hash, in_degrees), leader) for i, status in statuses.items()}
 
 
-def checks_of(status: Status, fleet_ids: Collection[int], formation_hash: int) -> tuple[Check, ...]:
-    """All checks of one vehicle, in a fixed order. Ids and hash are those of the fleet file on the ground."""
+def checks_of(
+    status: Status, fleet_ids: Collection[int], formation_hash: int, of_file: Collection[Notice] = ()
+) -> tuple[Check, ...]:
+    """All checks of one vehicle, in a fixed order. Ids, hash and warnings are those of the fleet file on the ground."""
     flags, lacks = set(status.safety.flags) - LATER, status.safety.lacks
     missing = sorted(set(fleet_ids) - {status.agent.vehicle_id} - set(status.neighbourhood.peers))
     no_peers = [Notice(Code.PEER_STALE, f"no fresh report of {_ids(missing)}")] if missing else []
@@ -171,7 +174,7 @@ def checks_of(status: Status, fleet_ids: Collection[int], formation_hash: int) -
         ),
         _check("origin", _notices(flags & ORIGIN), "in the fleet frame, inside the fence"),
         _check("peers", no_peers, f"fresh: {_ids(status.neighbourhood.peers)}"),
-        _check("fleet file", [] if same_file else other_file, "the same"),
+        _check("fleet file", [] if same_file else other_file, "the same", of_file),
         _check(
             "separation",
             [notice for notice in lacks if notice.code in SEPARATION],

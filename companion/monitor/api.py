@@ -299,7 +299,7 @@ class Preview(Struct, frozen=True):
 
     `paths` of a formation: from the present slot to the new one. `track_enu_m` of a reference: where it goes. `answers` are
     those of the vehicles to the check; none where the ground refuses. `instead` has keys of the content with values that
-    would be accepted, where they are known.
+    would be accepted, where they are known. `warning`: what of the content is probably meant otherwise.
     """
 
     paths: tuple[PathView, ...] = ()
@@ -307,6 +307,7 @@ class Preview(Struct, frozen=True):
     smallest_separation_m: float | None = None
     lasts_s: float | None = None
     refused: str = ""
+    warning: str = ""
     answers: tuple[AnswerView, ...] = ()
     instead: dict[str, float] = {}
 

@@ -145,6 +145,7 @@ class Commander:
         return replace(
             preview,
             refused="; ".join(f"{id_list(ids)}: {text}" for text, ids in refused.items()),
+            warning="; ".join(map(str, sent.warnings)),
             answers=_views(sent.outcomes),
             instead=accepted_instead(wanted, sent.content, sent.outcomes),
         )
@@ -158,7 +159,7 @@ class Commander:
         except EndedError as error:
             return CommandResult(wanted.name, _views(session.outcomes()), error=str(error))
         advice = advise_divided_fleet(sent.name, sent.outcomes)
-        texts = [*map(str, sent.doubts), *([str(advice)] if advice else [])]
+        texts = [*map(str, sent.warnings), *map(str, sent.doubts), *([str(advice)] if advice else [])]
         return CommandResult(wanted.name, _views(sent.outcomes), "; ".join(texts))
 
     def _doctor(self, ids: list[int]) -> CommandResult:

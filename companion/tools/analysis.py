@@ -51,7 +51,6 @@ from companion.analysis.response import (
     settled_prcs,
 )
 from companion.config.fleet import EdgeNeighbours, FleetConfig
-from companion.config.fleet_check import degree_notices
 from companion.config.law import LawName, law_of
 from companion.config.planned_flight import (
     graph_in_slots,
@@ -208,7 +207,7 @@ def analyse(subject: Subject) -> Analysis:
         gain_on_average=gain,
         unreached=unreached,
         second_edges=_second_edges(subject, graph, leaders) if laws and laws[fleet.law.name].stable else None,
-        looks_wrong=list(degree_notices(fleet, subject.starts_enu_m)),
+        looks_wrong=list(subject.looks_wrong),
         not_read=list(subject.not_read),
         kinds=len(subject.kinds),
         like_vehicle=subject.kinds[subject.kind] if len(subject.kinds) > 1 else None,

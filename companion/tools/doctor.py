@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.assembly import check_agent, fleet_fence_of, output_limits_of, profiles_of, tracker_of
+from companion.config.degrees import METRES, degree_notices
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.preflight import WINDOW_S, Survey
@@ -108,6 +109,15 @@ def network_line(vehicle_file: Path, config: AgentConfig) -> str:
     soon = f"; companion provision renew, {days} days are left" if days < SOON_DAYS else ""
     words = f"identity {identity.common_name}, valid until {identity.expires_at:%Y-%m-%d}"
     return f"{'warning' if soon else 'ok':<8} network: {words}, admission list {identity.admitted.number}{soon}"
+
+
+def _positions_in_degrees(config: AgentConfig) -> Iterator[AuditFinding]:
+    """A warning about each of the two files with a position that looks like latitude and longitude."""
+    for subject, content in (("fleet file", config.fleet), ("vehicle file", config.vehicle)):
+        for notice in degree_notices(config.fleet.origin, content):
+            yield AuditFinding(
+                subject, Verdict.WARNING, notice.code, notice.text.removesuffix(f"; expected {METRES}"), METRES
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +228,7 @@ class DoctorSession(Bench):
             accepts_uncontrolled_descent=config.vehicle.accept_uncontrolled_descent,
             fence=replace(fleet_fence_of(config.fleet), home_enu_m=vehicle.home_enu_m),
         )
-        findings = audit(facts)
+        findings = (*audit(facts), *_positions_in_degrees(config))
         return Diagnosis(config.vehicle.id, vehicle.autopilot, config.vehicle.mavlink, worst(findings), findings)
 
     async def fix(self, finding: AuditFinding) -> Change:

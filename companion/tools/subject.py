@@ -21,6 +21,7 @@ from companion.analysis.response import (
     flown_model,
 )
 from companion.assembly import flyable_problems
+from companion.config.degrees import degree_notices
 from companion.config.file import convert, kind_of_file, read_as
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import fleet_problems
@@ -30,6 +31,7 @@ from companion.config.reference import Reference
 from companion.config.validation import INVALID, Problem, each, examine, unless_invalid
 from companion.config.values import VehicleId, overlaid
 from companion.types.autopilot import AutopilotKind
+from companion.types.notices import Notice
 from companion.types.values import ZERO3, Vector3
 
 # Sections of a scenario that are not read, as they are named: of two some keys are read.
@@ -96,6 +98,7 @@ class Subject(Struct, frozen=True, kw_only=True):
     """Input of the analysis: a fleet, its start positions and the position of its reference.
 
     `kinds`: the kinds of its vehicles, each with the lowest id of one. The analysis is of a fleet of the first.
+    `looks_wrong`: what of the file is probably meant otherwise.
     """
 
     file: Path
@@ -109,6 +112,7 @@ class Subject(Struct, frozen=True, kw_only=True):
     kinds: dict[VehicleKind, int] = field(default_factory=lambda: {USUAL_KIND: 1})
     not_read: Sequence[str] = ()
     settings: Sequence[str] = ()
+    looks_wrong: Sequence[Notice] = ()
 
     @property
     def kind(self) -> VehicleKind:
@@ -151,9 +155,17 @@ def subject_of(path: Path, data: Any) -> Subject:
         fleet = convert(path, data, FleetConfig, fleet_problems)
         starts = {member.id: member.slot_enu_m for member in fleet.vehicles}
         reference_enu_m, not_read = _a_step(fleet), _not_read(data, fleet, "")
-        return Subject(file=path, fleet=fleet, starts_enu_m=starts, reference_enu_m=reference_enu_m, not_read=not_read)
+        return Subject(
+            file=path,
+            fleet=fleet,
+            starts_enu_m=starts,
+            reference_enu_m=reference_enu_m,
+            not_read=not_read,
+            looks_wrong=list(degree_notices(fleet.origin, fleet)),
+        )
     part = convert(path, data, _ScenarioPart, _problems)
     fleet, links = fleet_of(part.fleet), _read(part.links, _OfLinks, "links")[0]
+    places = {"fleet": fleet, "starts_enu_m": part.starts_enu_m, "reference": part.reference}
     return Subject(
         file=path,
         fleet=fleet,
@@ -165,6 +177,7 @@ def subject_of(path: Path, data: Any) -> Subject:
         on_board_s=links.on_board_s,
         kinds=_kinds(part, fleet),
         not_read=_not_read(data, fleet, "fleet."),
+        looks_wrong=list(degree_notices(fleet.origin, places)),
     )
 
 

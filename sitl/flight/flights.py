@@ -26,9 +26,9 @@ from companion.analysis.response import (
     links_borne_s,
     reached_from,
 )
+from companion.config.degrees import degree_notices
 from companion.config.file import ConfigError
 from companion.config.fleet import FormationMember
-from companion.config.fleet_check import degree_notices
 from companion.config.law import LawName, law_of
 from companion.config.planned_flight import graph_in_slots, neighbour_graph
 from companion.config.reference import TargetReference
@@ -123,8 +123,7 @@ def check_convergence(scenario: Scenario) -> list[Notice]:
             " change the gains or the law"
         )
         raise _diverges(Notice(Code.FORMATION_UNSTABLE, text))
-    in_degrees = degree_notices(fleet, scenario.starts_enu_m)
-    return [*in_degrees, *_warnings(coupling, margin_s, _model(scenario, kind, link_s))]
+    return [*degree_notices(fleet.origin, scenario), *_warnings(coupling, margin_s, _model(scenario, kind, link_s))]
 
 
 def kinds_of(scenario: Scenario) -> dict[VehicleKind, int]:

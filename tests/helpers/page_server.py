@@ -54,6 +54,7 @@ if TYPE_CHECKING:
 SPACING_M = 4.0
 ALTITUDE_M = 5.0
 SEPARATION_M = 2.5
+WARNING = "LOOKS_LIKE_DEGREES: reference.point_enu_m: [47.397755, 8.545594, 3.0] looks like latitude and longitude"
 
 
 def slots_of(count: int) -> list[Vector3]:
@@ -394,7 +395,7 @@ class PageServer:
         if command.name == "reference":
             centre = command.content.get("centre_enu_m") or command.content.get("point_enu_m")
             track = (tuple(centre),) if centre else tuple(map(tuple, command.content["points_enu_m"]))
-            return _json(Preview(track_enu_m=track, lasts_s=12.0))  # type: ignore[arg-type]
+            return _json(Preview(track_enu_m=track, lasts_s=12.0, warning=WARNING))  # type: ignore[arg-type]
         spacing_m = command.content["spacing_m"]
         if spacing_m < 2.5:
             return _json(Preview(refused=f"SLOT_TOO_CLOSE: slots {spacing_m} m apart, separation_m is 2.5 m"))

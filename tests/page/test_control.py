@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 from msgspec.structs import replace
 
-from page_server import PageServer, until_shown
+from page_server import WARNING, PageServer, until_shown
 
 expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missing").expect
 
@@ -183,6 +183,7 @@ def test_a_reference_is_placed_on_the_map(open_page: OpenPage) -> None:
         page.get_by_label("Point 1, N, metres").fill("-1")
         page.get_by_label("Point 1, N, metres").blur()
         page.locator("[data-action=preview-reference]").click()
+        expect(page.locator(".previewed .warning")).to_have_text(WARNING)
         page.locator("[data-action=send-reference]").click()
         until_shown(page, lambda: bool(server.commands))
         content = server.commands[0].content

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from common import ROOT
 from companion.cli.main import main
-from companion.config.fleet_check import degree_notices
+from companion.config.degrees import degree_notices
 from companion.types.notices import Code
 from companion.types.values import Vector3
 from sitl.flight.flights import check_convergence
@@ -19,7 +20,9 @@ LATITUDE_FIRST, LONGITUDE_FIRST = (47.397755, 8.545594, 0.0), (8.545594, 47.3977
 @pytest.mark.parametrize("start", [LATITUDE_FIRST, LONGITUDE_FIRST])
 def test_a_start_in_degrees_is_a_warning(start: Vector3) -> None:
     scenario = load_scenario(PLATOON)
-    (notice,) = degree_notices(scenario.fleet, scenario.starts_enu_m | {1: start})
+    (notice,) = degree_notices(
+        scenario.fleet.origin, replace(scenario, starts_enu_m={**scenario.starts_enu_m, 1: start})
+    )
     assert notice.code is Code.LOOKS_LIKE_DEGREES
     assert (
         notice.text
@@ -30,7 +33,7 @@ def test_a_start_in_degrees_is_a_warning(start: Vector3) -> None:
 @pytest.mark.parametrize("start", [(47.4, 8.5456, 0.0), (47.3978, 18.5456, 0.0), (0.3978, 0.5456, 0.0)])
 def test_metres_are_none(start: Vector3) -> None:
     scenario = load_scenario(PLATOON)
-    assert list(degree_notices(scenario.fleet, scenario.starts_enu_m | {1: start})) == []
+    assert list(degree_notices(scenario.fleet.origin, [start, {"starts_enu_m": {1: start}}])) == []
 
 
 def test_analyze_and_flights_warn_of_it(capsys: pytest.CaptureFixture[str]) -> None:

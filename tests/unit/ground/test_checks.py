@@ -5,9 +5,11 @@ from __future__ import annotations
 from math import dist
 
 import pytest
+from msgspec.structs import replace
 
+from companion.config.fleet import GeodeticOrigin
 from companion.ground.answers import AnswerKind, Outcome, accepted_instead, instead_lines
-from companion.ground.changes import FleetAction, FormationRequest
+from companion.ground.changes import FleetAction, FormationRequest, ReferenceRequest
 from companion.ground.commands import OperatorCommands
 from companion.types.commands import CommandName, Content, Described, ReferenceChange
 from companion.types.flight import FlightPhase
@@ -18,6 +20,8 @@ from one_agent import FLEET
 
 C = CommandName
 LINE = FormationRequest("line", None, 200.0, 0.0, 1.0)
+AT = [47.397755, 8.545594, 3.0]
+IN_DEGREES = {1: (47.397755, 8.545594, 0.0), 2: (8.0, 4.0, 0.0)}
 WAYPOINTS: Described = {"kind": "waypoints", "max_speed_m_s": 2.0, "max_acceleration_m_s2": 1.0}
 
 
@@ -55,6 +59,22 @@ def test_a_formation_is_checked_with_the_slots_that_would_be_sent() -> None:
     assert isinstance(content, FormationChange)
     (_, one), (_, other) = content.slots_enu_m
     assert dist(one, other) == pytest.approx(200.0)
+
+
+@pytest.mark.parametrize(
+    ("action", "named"),
+    [
+        (FleetAction("formation", formation=FormationRequest(None, None, None, 0.0, 1.0, IN_DEGREES)), "slots_enu_m"),
+        (FleetAction("reference", reference=ReferenceRequest(None, {"kind": "point"}, (AT,))), "reference.point_enu_m"),
+        (FleetAction("formation", formation=LINE), ""),
+    ],
+)
+def test_places_in_degrees_are_a_warning_beside_the_answers(action: FleetAction, named: str) -> None:
+    fleet = replace(FLEET, origin=GeodeticOrigin(latitude_deg=47.3977, longitude_deg=8.5456, altitude_amsl_m=488.0))
+    sent = OperatorCommands(DirectedVehicles(), fleet, 1.0).check(action)
+    assert set(sent.outcomes) >= {1}
+    assert [notice.code for notice in sent.warnings] == ([Code.LOOKS_LIKE_DEGREES] if named else [])
+    assert all(notice.text.startswith(named) for notice in sent.warnings)
 
 
 @pytest.mark.parametrize(

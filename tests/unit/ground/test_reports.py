@@ -62,12 +62,13 @@ def test_warnings_of_the_audit_are_shown_and_fail_no_check() -> None:
     fence = Notice(Code.AUTOPILOT_FENCE_OFF, "GF_ACTION: 0 (nothing)")
     slow = Notice(Code.BRAKES_SLOWLY, "braking: from 0.7 m/s")
     warned = with_fields(READY, warnings=(fence, Notice(Code.BATTERY_LOW, "battery: 35 %"), slow))
-    checks = checks_of(warned, (1, 2), 1)
+    checks = checks_of(warned, (1, 2), 1, [Notice(Code.LOOKS_LIKE_DEGREES, "vehicles[0].slot_enu_m")])
     assert all(check.passed for check in checks)
     found = {check.name: check.found for check in checks}
     assert found["parameters"].endswith("arming checks pass; warning: AUTOPILOT_FENCE_OFF: GF_ACTION: 0 (nothing)")
     assert found["battery"] == "80 %; warning: BATTERY_LOW: battery: 35 %"
     assert found["separation"] == "kept; warning: BRAKES_SLOWLY: braking: from 0.7 m/s"
+    assert found["fleet file"] == "the same; warning: LOOKS_LIKE_DEGREES: vehicles[0].slot_enu_m"
     lines = readiness_lines({1: checks}, [], 3.0)
     assert lines[0] == "vehicle 1  ready, with warnings"
     data = {check["check"]: check["warnings"] for check in readiness_as_data({1: checks}, [])[0]["checks"]}

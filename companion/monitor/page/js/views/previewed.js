@@ -11,6 +11,7 @@ export function previewed({ store, commanding }, name) {
   if (!preview || preview.name !== name) return nothing;
   return html`<div class="previewed">
     ${preview.refused ? html`<p class="critical">Refused: ${preview.refused}</p>` : html`<p>${summary(preview)}</p>`}
+    ${preview.warning ? html`<p class="warning">${preview.warning}</p>` : nothing}
     <div class="row">${preview.refused ? instead(preview, commanding) : html`<button data-action="send-${name}" class="primary"
         @click=${() => commanding.sendPreviewed()}>Send</button>`}
       <button @click=${() => commanding.discard()}>Discard</button></div></div>`;
