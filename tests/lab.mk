@@ -2,7 +2,7 @@
 #
 ## make bench      speed of agents, lockstep and batch beside C, asyncio, mavsdk, UDP and RotorPy; writes docs/performance.md (ten minutes)
 ##                 make bench AGAINST=COMMIT measures that commit and this tree in turn and prints the ratios (six minutes)
-##                 BENCH='step lockstep' leaves out the real flights (under three minutes)
+##                 BENCH='step lockstep' leaves out the real flights (three minutes); BENCH=large flies a hundred vehicles (ten minutes)
 ## make bench-batch  vehicle-steps a second of whole batches on one core, and RotorPy's; installs PyTorch in .venv-bench
 ## make bench-filter  time of the separation filter with seven vehicles nearby, against its limit of 60 us
 ## make bench-identities  CPU of agents in formation with identities against those without; limit 1.2 times

@@ -1,9 +1,10 @@
 """Two commits measured alternately in one run, and the ratios of their speed: `make bench AGAINST=COMMIT`.
 
-    python -m tests.bench.against COMMIT [step] [lockstep] [flight]
+    python -m tests.bench.against COMMIT [step] [lockstep] [large] [flight]
 
-`step` is the warm time of Agent.step, `lockstep` the vehicle-seconds in virtual time per second of CPU time, `flight` CPU,
-memory and latency of real agents in flight; without a choice all. The commit is unpacked into build/against; this tree is
+`step` is the warm time of Agent.step, `lockstep` the vehicle-seconds in virtual time per second of CPU time of fleets of 4 and
+16, `large` of one of 100 (ten minutes), `flight` CPU, memory and latency of real agents in flight; without a choice all but
+`large`. The commit is unpacked into build/against; this tree is
 measured as it is. Both take turns, so that the load and the temperature of the machine meet both alike. A ratio above 1 is
 better than the commit.
 
@@ -35,8 +36,10 @@ from tests.bench.scenarios import SCENARIOS, grid_content, star_content
 TOP = Path(__file__).parents[2]
 WORKER = Path(__file__).parent / "programs" / "measured_commit.py"
 GENERATED = Path("companion/mavlink/generated/in_use.py")
-KINDS = ("step", "lockstep", "flight")
-ROUNDS = {"step": 12, "lockstep": 8, "flight": 3}
+KINDS = ("step", "lockstep", "large", "flight")
+USUAL = ("step", "lockstep", "flight")
+ROUNDS = {"step": 12, "lockstep": 8, "large": 2, "flight": 3}
+SCENARIOS_OF = {"step": ("star",), "lockstep": ("platoon", "grid of 4", "grid of 16"), "large": ("grid of 100",)}
 PROCESSES = 2  # of each side, one after the other: where its memory lies makes a process a little faster or slower
 FLIGHT_FORM_S = 25.0
 WORST_RATIO = 0.95
@@ -115,7 +118,7 @@ def environment(folder: Path) -> dict[str, str]:
 def measure(before: Path, kinds: Sequence[str], folder: Path) -> Comparison:
     """Everything of these kinds; files are written into `folder`."""
     comparison = Comparison()
-    in_process = [kind for kind in KINDS[:2] if kind in kinds]
+    in_process = [kind for kind in SCENARIOS_OF if kind in kinds]
     if in_process:
         _measure_in_process(comparison, before, in_process, folder)
     if "flight" in kinds:
@@ -128,17 +131,17 @@ def measure(before: Path, kinds: Sequence[str], folder: Path) -> Comparison:
 
 
 def _measure_in_process(comparison: Comparison, before: Path, kinds: Sequence[str], folder: Path) -> None:
-    scenarios = _scenarios(folder)
+    files = _scenarios(folder)
     for process in range(PROCESSES):
         with ExitStack() as stack:
-            command = [sys.executable, "-P", str(WORKER), *map(str, scenarios)]
+            command = [sys.executable, "-P", str(WORKER)]
             workers = {side: Program(stack, command, environment(side)) for side in (before, TOP)}
             for kind in kinds:
                 for number in range(ROUNDS[kind] // PROCESSES):
-                    found = {side: _figures(workers[side], kind) for side, _ in _in_turn(before, number)}
+                    found = {side: _figures(workers[side], kind, files) for side, _ in _in_turn(before, number)}
                     for name in found[TOP]:
                         label, unit = _label(kind, name)
-                        comparison.add(label, unit, kind == "lockstep", found[before][name], found[TOP][name])
+                        comparison.add(label, unit, kind != "step", found[before][name], found[TOP][name])
         print(f"  processes {process + 1} of {PROCESSES}", flush=True)
 
 
@@ -148,9 +151,14 @@ def _in_turn(before: Path, number: int) -> Iterator[tuple[Path, str]]:
     yield from sides if number % 2 else reversed(sides)
 
 
-def _figures(worker: Program, kind: str) -> dict[str, float]:
-    worker.begin(kind)
-    return worker.result(dict[str, float])
+def _figures(worker: Program, kind: str, files: Mapping[str, Path]) -> dict[str, float]:
+    """By the name of the scenario."""
+    what = "step" if kind == "step" else "lockstep"
+    found = {}
+    for name in SCENARIOS_OF[kind]:
+        worker.begin(f"{what} {files[name]}")
+        found[name] = worker.result(float)
+    return found
 
 
 def _label(kind: str, scenario: str) -> tuple[str, str]:
@@ -159,12 +167,14 @@ def _label(kind: str, scenario: str) -> tuple[str, str]:
     return f"lockstep, {scenario}, whole flight", "vehicle-s/s"
 
 
-def _scenarios(folder: Path) -> list[Path]:
-    """Of `step`, then those of `lockstep`: files, because their format is what all commits have in common."""
-    for name, content in {"star": star_content(3, 6.0), "grid of 16": grid_content(16, 3.0)}.items():
+def _scenarios(folder: Path) -> dict[str, Path]:
+    """Files by name, because their format is what all commits have in common."""
+    contents = {"star": star_content(3, 6.0), "grid of 100": grid_content(100, 0.5)}
+    contents |= {f"grid of {count}": grid_content(count, 3.0) for count in (4, 16)}
+    for name, content in contents.items():
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     shutil.copy(SCENARIOS / "platoon.yaml", folder)
-    return [folder / f"{name}.yaml" for name in ("star", "platoon", "grid of 16")]
+    return {file.stem: file for file in folder.glob("*.yaml")}
 
 
 FLIGHT_FIGURES = {
@@ -206,7 +216,7 @@ def main() -> int:
         prog="python -m tests.bench.against", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("commit")
-    parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"of {', '.join(KINDS)}; without one all")
+    parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"of {', '.join(KINDS)}; without one all but large")
     parsed = parser.parse_args()
     if unknown := set(parsed.kinds) - set(KINDS):
         parser.error(f"{', '.join(sorted(unknown))}: expected {', '.join(KINDS)}")
@@ -214,7 +224,7 @@ def main() -> int:
         before = checkout(parsed.commit)
         _compile(TOP)
         with TemporaryDirectory(prefix="against-") as name:
-            comparison = measure(before, parsed.kinds or KINDS, Path(name))
+            comparison = measure(before, parsed.kinds or USUAL, Path(name))
     except RuntimeError as error:
         print(error, file=sys.stderr)
         return 2

@@ -1,8 +1,8 @@
 """Speed of the checkout that stands first on the path, which may be an older commit: `make bench AGAINST=COMMIT` starts it.
 
-    PYTHONPATH=CHECKOUT python -P measured_commit.py SCENARIO_OF_STEP SCENARIO_OF_LOCKSTEP...
+    PYTHONPATH=CHECKOUT python -P measured_commit.py
 
-For each line of its input, `step` or `lockstep`, it measures once and prints one line of JSON: figures by name. It imports
+For each line of its input, `step SCENARIO` or `lockstep SCENARIO`, it measures once and prints the figure on a line. It imports
 nothing of the laboratory, and finds by name what older commits have in other modules.
 """
 
@@ -23,17 +23,17 @@ FOLLOWER_ID = 2
 PASSES = 5  # over the inputs of one flight
 
 
-def module_of(name: str, package: str) -> ModuleType:
-    """The module below `package` that defines this name. Raises LookupError."""
+def module_of(name: str, package: str, defined_in: str = "") -> ModuleType:
+    """The module below `package` that has this name, by default the one that defines it. Raises LookupError."""
     for found in walk_packages(import_module(package).__path__, f"{package}."):
         module = import_module(found.name)
-        if getattr(getattr(module, name, None), "__module__", "") == module.__name__:
+        if getattr(getattr(module, name, None), "__module__", "") == (defined_in or module.__name__):
             return module
-    raise LookupError(f"{package}: nothing defines {name}")
+    raise LookupError(f"{package}: nothing has {name}")
 
 
 FLIGHT = module_of("fly_in_virtual_time", "sitl.flight")
-LOCKSTEP = module_of("Lockstep", "sitl.flight")
+BUILDER = module_of("build_agent", "sitl.flight", "companion.assembly")
 SCENARIO = module_of("load_scenario", "sitl.flight")
 
 
@@ -50,13 +50,13 @@ class Inputs:
     """Time and inbox of each tick of the follower in one flight, and how to build its agent again."""
 
     def __init__(self, scenario: Path) -> None:
-        self._build, self._arguments = LOCKSTEP.build_agent, ((), {})  # type: ignore[var-annotated]
+        self._build, self._arguments = BUILDER.build_agent, ((), {})  # type: ignore[var-annotated]
         self.ticks: list[tuple[float, Any]] = []
-        LOCKSTEP.build_agent = self._built  # type: ignore[attr-defined]
+        BUILDER.build_agent = self._built  # type: ignore[attr-defined]
         try:
             fly(scenario)
         finally:
-            LOCKSTEP.build_agent = self._build  # type: ignore[attr-defined]
+            BUILDER.build_agent = self._build  # type: ignore[attr-defined]
 
     def agent(self) -> Any:
         """A new agent of the follower, as the flight began."""
@@ -113,15 +113,15 @@ def rate_1_s(scenario: Path) -> float:
 
 
 def main() -> None:
-    step, *lockstep = map(Path, sys.argv[1:])
-    inputs: Inputs | None = None
+    inputs: dict[str, Inputs] = {}
     for line in sys.stdin:
-        if line.strip() == "step":
-            inputs = inputs or Inputs(step)
-            figures = {step.stem: step_us(inputs)}
+        what, _, scenario = line.strip().partition(" ")
+        if what == "lockstep":
+            figure = rate_1_s(Path(scenario))
         else:
-            figures = {scenario.stem: rate_1_s(scenario) for scenario in lockstep}
-        print(json.dumps(figures), flush=True)
+            inputs[scenario] = inputs.get(scenario) or Inputs(Path(scenario))
+            figure = step_us(inputs[scenario])
+        print(json.dumps(figure), flush=True)
 
 
 if __name__ == "__main__":
