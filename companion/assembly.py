@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from math import hypot, radians, tan
 from pathlib import Path
 
+from msgspec import convert, to_builtins
+
 from companion.analysis.pace import following_steps
 from companion.analysis.response import USUAL_DRAG_1_S
 from companion.config.file import ConfigError, refuse
@@ -316,7 +318,8 @@ def _references(fleet: FleetConfig, first: Reference, drag_1_s: float) -> Refere
         problem = yield from following_steps(fleet, law_of(fleet.law), reference, slots_enu_m, drag_1_s)
         return None if problem is None else f"{problem.field}: {problem.text}"[:LONGEST_REASON]
 
-    return ReferencePlan(rft_of(first), read, refusal_of_slots, limits)
+    described = None if first.refusal_as_command() else convert(to_builtins(first), Described)
+    return ReferencePlan(rft_of(first), described, read, refusal_of_slots, limits)
 
 
 def _fence(fleet: FleetConfig) -> Box:

@@ -9,7 +9,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.core.command.arbitration import Intake
-from companion.core.consensus.stage import Consensus
+from companion.core.consensus.stage import Consensus, LeadView
 from companion.core.control.setpoint import Setpoint
 from companion.core.estimation.vehicle import Perception
 from companion.core.filter.filter import Interventions
@@ -41,6 +41,7 @@ from companion.types.status import (
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # member lookup of an enum is slow
 STATUS_PERIOD_S = 0.099  # every fifth tick of 50 Hz, also where a tick comes a little early
+DESCRIBED_EVERY = 20  # statuses: a reference may have 200 points, and is the same for minutes
 
 
 class Decision(Struct, frozen=True, gc=False):
@@ -78,6 +79,7 @@ class ReportStage:
         self._sequence = 0
         self._last_event: Notice | None = None
         self._status_s = -inf
+        self._statuses = 0
         self.refused: Counter[str] = Counter()
 
     def refuse(self, key: str) -> None:
@@ -98,6 +100,7 @@ class ReportStage:
         status = None
         if events or now_s - self._status_s >= STATUS_PERIOD_S:
             self._status_s = now_s
+            self._statuses += 1
             status = self._status(decided)
         return Report(self._packet(decided), status, events)
 
@@ -137,7 +140,7 @@ class ReportStage:
     def _status(self, decided: Decision) -> Status:
         now_s, intake, perception, fitness = decided.now_s, decided.intake, decided.perception, decided.fitness
         consensus, guidance, flight, setpoint = decided.consensus, decided.guidance, decided.flight, decided.setpoint
-        vehicle, lead, reference = perception.vehicle, consensus.lead, guidance.reference
+        vehicle, lead = perception.vehicle, consensus.lead
         peers, neighbours = consensus.peers.packets, consensus.neighbours
         rejected = sum_counts(
             (self.refused, setpoint.rejected, perception.rejected, consensus.peers.rejected, guidance.rejected)
@@ -175,14 +178,7 @@ class ReportStage:
                 weights=self._law.weights(lead.role is LEADER, neighbours.prcs),
                 neighbour_ages_s=tuple([now_s - consensus.peers.fresh[i].measured_s for i in neighbours.ids]),
             ),
-            formation=FormationReport(
-                slot=guidance.plan_slot,
-                reference_enu_m=reference.position_enu_m if reference else None,
-                reference_s=lead.reference_s,
-                reference=guidance.held_reference,
-                target_age_s=guidance.target_age_s,
-                heading=guidance.heading,
-            ),
+            formation=self._formation(guidance, lead),
             safety=SafetyReport(
                 flags=tuple(sorted(decided.safety.flags)),
                 refuses_return=self._refusal_of_return(vehicle, flight, consensus),
@@ -193,6 +189,18 @@ class ReportStage:
             rejected=rejected,
             last_event=self._last_event,
             command=CommandReport(holder=intake.holder, command_number=intake.number),
+        )
+
+    def _formation(self, guidance: Guidance, lead: LeadView) -> FormationReport:
+        describes = lead.role is LEADER and self._statuses % DESCRIBED_EVERY == 1
+        return FormationReport(
+            slot=guidance.plan_slot,
+            reference_enu_m=guidance.reference.position_enu_m if guidance.reference else None,
+            reference_s=lead.reference_s,
+            reference=guidance.held_reference,
+            target_age_s=guidance.target_age_s,
+            heading=guidance.heading,
+            described=guidance.described if describes else None,
         )
 
     def _refusal_of_return(self, vehicle: VehicleState, flight: Flight, consensus: Consensus) -> Notice | None:

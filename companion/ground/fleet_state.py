@@ -10,7 +10,8 @@ from math import degrees, dist
 from companion.geometry.formations import turned_slot
 from companion.geometry.vectors import plus
 from companion.types.autopilot import LandedState
-from companion.types.flight import WITHOUT_LEADER, FlightPhase, HealthFlag
+from companion.types.commands import Described
+from companion.types.flight import WITHOUT_LEADER, FlightPhase, HealthFlag, Role
 from companion.types.formation import EAST, FlownSlot, Heading
 from companion.types.status import Status
 from companion.types.values import Vector3
@@ -27,10 +28,11 @@ VehicleKey = tuple[str, int]  # fleet name, vehicle id
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A vehicle's newest report and its time of arrival."""
+    """A vehicle's newest report and its time of arrival; `described`: the reference it flies, once it has described it."""
 
     received_s: float
     report: StatusReport
+    described: Described | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +89,27 @@ def fold(state: FleetState, report: StatusReport, now_s: float) -> FleetState:
         if not _is_silent(vehicles[oldest], now_s):
             return state  # a stranger with many names does not displace a vehicle that reports
         del vehicles[oldest]
-    return FleetState(vehicles | {key: Received(now_s, report)})
+    described = report.status.formation.described or _still_described(vehicles.get(key), report.status)
+    return FleetState(vehicles | {key: Received(now_s, report, described)})
+
+
+def _still_described(before: Received | None, status: Status) -> Described | None:
+    """The description in an earlier report, where the vehicle flies that reference still."""
+    if before is None or before.report.status.agent.session != status.agent.session:
+        return None
+    was, held = before.report.status.formation.reference, status.formation.reference
+    same = was and held and (was.flown, was.begun_s) == (held.flown, held.begun_s)
+    return before.described if same else None
+
+
+def flown_reference(state: FleetState, fleet: str) -> Described | None:
+    """The reference that the leader of a fleet has described: the one that reported last."""
+    leaders = [
+        received
+        for (name, _), received in state.vehicles.items()
+        if name == fleet and received.report.status.leadership.role is Role.LEADER
+    ]
+    return max(leaders, key=lambda leader: leader.received_s).described if leaders else None
 
 
 def vehicles_at(state: FleetState, now_s: float) -> list[ReportedVehicle]:

@@ -247,6 +247,9 @@ class FleetFileView(Struct, frozen=True, kw_only=True):
     clearance_m: float
     obstacles: tuple[ObstacleView, ...]
     homes_enu_m: dict[int, Vector3]  # where each vehicle was last disarmed on the ground, as this server saw it
+    reference_enu_m: tuple[
+        Vector3, ...
+    ] = ()  # line of the reference that the leader flies, as it reports it; empty while unknown
     tiles: bool = False  # whether this server has a folder of map tiles
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from math import ceil, inf
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -233,11 +234,29 @@ def _reference(reference: Reference, fleet: FleetConfig, statuses: Sequence[Stat
     slots_enu_m = flown_slots_enu_m(statuses)
     problems = list(reference_problems(fleet, reference, "reference", slots_enu_m))
     lasts_s = reference.whole_s()
-    curve, points = reference.curve(), TRACK_POINTS if lasts_s else 1
-    track = [curve((lasts_s or 0.0) * index / max(1, points - 1))[0] for index in range(points)]
     return Preview(
-        track_enu_m=tuple(rounded(point, 3) for point in track),
+        track_enu_m=track_enu_m(reference),
         lasts_s=None if lasts_s is None else float(ceil(lasts_s)),
         refused="; ".join(f"{problem.field}: {problem.text}" for problem in problems),
         instead=dict(accepted_values(reference, problems)),
     )
+
+
+def track_enu_m(reference: Reference) -> tuple[Vector3, ...]:
+    """The line that a reference takes once through; one point where it has no end, as that of a target."""
+    if legs := reference.legs_enu_m():
+        track = [legs[0][0], *(end for _, end in legs)]
+    else:
+        curve, whole_s = reference.curve(), reference.whole_s()
+        times_s = [whole_s * index / (TRACK_POINTS - 1) for index in range(TRACK_POINTS)] if whole_s else [0.0]
+        track = [curve(time_s)[0] for time_s in times_s]
+    return tuple(rounded(point, 3) for point in track)
+
+
+@lru_cache(maxsize=16)
+def described_track_enu_m(described_json: bytes) -> tuple[Vector3, ...]:
+    """That of a reference as a vehicle describes it, in JSON; empty where the description is none."""
+    try:
+        return track_enu_m(reference_of(msgspec.json.decode(described_json)))
+    except (OperateError, msgspec.DecodeError):
+        return ()

@@ -7,9 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 from math import inf
 
+from msgspec import json
+
 from companion.config.fleet import EdgeNeighbours, FleetConfig, RangeNeighbours
 from companion.ground.belief import doubts_of
-from companion.ground.fleet_state import FleetState, ReportedVehicle, VehicleKey, fold, vehicles_at
+from companion.ground.fleet_state import FleetState, ReportedVehicle, VehicleKey, flown_reference, fold, vehicles_at
 from companion.monitor.alarms import (
     MISSING,
     NEVER_HEARD,
@@ -34,6 +36,7 @@ from companion.monitor.api import (
     Snapshot,
     VehicleView,
 )
+from companion.monitor.command_requests import described_track_enu_m
 from companion.monitor.events import EventLog, compare_reports
 from companion.monitor.fleet_figures import FleetFigures
 from companion.monitor.vehicle_view import fresh_position_enu_m, vehicle_view
@@ -202,7 +205,9 @@ class Picture:
     def fleet_map(self, name: str) -> FleetFileView | None:
         """None without the fleet file of this fleet."""
         file = self._files.get(name)
-        return fleet_map(file, self._homes.get(name, {})) if file else None
+        described = flown_reference(self._state, name)
+        track_enu_m = described_track_enu_m(json.encode(described)) if described else ()
+        return fleet_map(file, self._homes.get(name, {}), track_enu_m) if file else None
 
 
 PERIOD_S = 0.5
@@ -250,8 +255,10 @@ def _sample(vehicle: VehicleView) -> HistorySample:
 NO_ORIGIN = (0.0, 0.0, 0.0)  # stands for the origin of a fleet indoors, which has no map
 
 
-def fleet_map(fleet: FleetConfig, homes_enu_m: Mapping[int, Vector3]) -> FleetFileView:
-    """`homes_enu_m` is where each vehicle was last disarmed on the ground."""
+def fleet_map(
+    fleet: FleetConfig, homes_enu_m: Mapping[int, Vector3], reference_enu_m: tuple[Vector3, ...] = ()
+) -> FleetFileView:
+    """`homes_enu_m` is where each vehicle was last disarmed on the ground, `reference_enu_m` the line of the reference."""
     envelope, neighbours = fleet.envelope, fleet.neighbours
     (low_x, low_y, floor_m), (high_x, high_y, ceiling_m) = envelope.fence_min_enu_m, envelope.fence_max_enu_m
     box = ((low_x, low_y), (high_x, low_y), (high_x, high_y), (low_x, high_y))
@@ -270,4 +277,5 @@ def fleet_map(fleet: FleetConfig, homes_enu_m: Mapping[int, Vector3]) -> FleetFi
         clearance_m=envelope.clearance_m,
         obstacles=tuple(ObstacleView(body.outline_enu_m, body.bottom_m, body.top_m) for body in bodies),
         homes_enu_m=dict(homes_enu_m),
+        reference_enu_m=reference_enu_m,
     )

@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta, Struct
 
 from companion.types.autopilot import LandedState, PositionError
+from companion.types.commands import Described
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import EAST, FlownSlot, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Notice
@@ -131,6 +132,8 @@ class FormationReport(Part, frozen=True, gc=False):
     reference: HeldReference | None = None  # None if the vehicle may not lead
     target_age_s: Finite | None = None  # of the followed target; None without a target or samples of it
     heading: Heading = EAST
+    # Of a leader, in some of its reports: the reference flown, as a section of a file. None of one that no command can bring.
+    described: Annotated[Described, Meta(max_length=20)] | None = None
 
 
 class SafetyReport(Part, frozen=True, gc=False):
@@ -157,7 +160,7 @@ class Status(Struct, frozen=True, gc=False):
     LATER: ClassVar[tuple[str, ...]] = (
         *("reference_s", "reference", "target_age_s", "refuses_return", "lacks", "holder", "command_number", "peers"),
         *("battery_percent", "position_error", "largest_step_deg", "heading", "separation", "network", "warnings"),
-        *("weights", "neighbour_ages_s", "recording"),
+        *("weights", "neighbour_ages_s", "recording", "described"),
     )
 
     agent: AgentIdentity

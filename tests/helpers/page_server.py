@@ -66,11 +66,16 @@ def slots_of(count: int) -> list[Vector3]:
     return [((middle - i // columns) * SPACING_M, (middle - i % columns) * SPACING_M, 0.0) for i in range(count)]
 
 
-def vehicles_at(time_s: float, count: int, fleet: str = "ring") -> list[VehicleView]:
-    """All in formation; vehicle 1 leads."""
+def reference_at(time_s: float, count: int) -> tuple[Vector3, Vector3]:
+    """Position and velocity."""
     scale = max(1.0, sqrt(count) / 3.0)
     (x, y, _), velocity, _ = figure_8(time_s, 24.0 * scale, 12.0 * scale, 60.0 * scale, 5.0)
-    centre = (x, y, ALTITUDE_M)
+    return (x, y, ALTITUDE_M), velocity
+
+
+def vehicles_at(time_s: float, count: int, fleet: str = "ring") -> list[VehicleView]:
+    """All in formation; vehicle 1 leads."""
+    centre, velocity = reference_at(time_s, count)
     slots = slots_of(count)
     positions = [_beside(slot, centre, time_s, i) for i, slot in enumerate(slots)]
     return [_page_vehicle(i, fleet, slots, positions, centre, velocity, time_s) for i in range(count)]
@@ -198,6 +203,7 @@ def fleet_file(count: int, name: str = "ring") -> FleetFileView:
         clearance_m=0.5,
         obstacles=(ObstacleView(mast, -10000.0, 18.0), ObstacleView(shed, 0.0, 4.0)),
         homes_enu_m={i + 1: slot for i, slot in enumerate(slots)},
+        reference_enu_m=tuple(reference_at(5.0 + step, count)[0] for step in range(61)),
     )
 
 

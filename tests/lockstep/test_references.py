@@ -12,7 +12,7 @@ import pytest
 from common import ROOT, outcome
 from companion.ground.changes import reference_change
 from companion.types.commands import CommandName, Content, Lead
-from companion.types.flight import FlightPhase
+from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Code
 from companion.types.status import Status
 from companion.types.values import Vector3
@@ -69,6 +69,17 @@ def begun(flight: Flight, number: int) -> float:
     return next(
         at_s for at_s, s in flight.watch.reports if s.formation.reference and s.formation.reference.flown == number
     )
+
+
+def test_leaders_describe_the_reference_that_they_fly() -> None:
+    flight, _ = circle_then_way()
+    described = [(at_s, s) for at_s, s in flight.watch.reports if s.formation.described]
+    assert all(status.leadership.role is Role.LEADER for _, status in described)
+    kinds = {(s.formation.reference.flown, s.formation.described["kind"]) for _, s in described}  # type: ignore[union-attr,index]
+    assert kinds == {(0, "figure_8"), (1, "circle"), (2, "waypoints")}
+    assert {s.agent.vehicle_id for _, s in described} == {1, 2}
+    led_s = [at_s for at_s, status in described if status.agent.vehicle_id == 1]
+    assert max(later - earlier for earlier, later in pairwise(led_s)) <= 2.1
 
 
 def test_a_circle_and_waypoints_are_flown_with_a_leader_change_in_the_blend() -> None:

@@ -18,7 +18,7 @@ from companion.core.reference.heading import CourseHeading
 from companion.core.reference.plan import ReferencePlan
 from companion.geometry.formations import turned_slot
 from companion.types.autopilot import VehicleState
-from companion.types.commands import Command, CommandName
+from companion.types.commands import Command, CommandName, Described
 from companion.types.flight import RULES, STREAMING, Flight, FlightPhase, PhaseChange, PhaseRequest, Role
 from companion.types.formation import EAST, FlownSlot, FormationChange, FormationState, Heading, HeldReference
 from companion.types.notices import Answer, Code, Notice, Refused
@@ -45,6 +45,7 @@ class Guidance(Struct, frozen=True, gc=False):
     published_heading: Heading = EAST
     reference: FormationState | None = None
     held_reference: HeldReference | None = None  # None where this vehicle may not lead
+    described: Described | None = None  # the reference flown
     target_age_s: float | None = None
     refusal_to_lead: Notice | None = None
     refusal_to_enter: Notice | None = None
@@ -126,6 +127,7 @@ class GuidanceStage:
             published_heading=heading.published if heading else EAST,
             reference=reference,
             held_reference=references.held if references else None,
+            described=references.described if references else None,
             target_age_s=references.target_age_s if references else None,
             refusal_to_lead=refusal_to_lead,
             refusal_to_enter=refusal_to_enter,

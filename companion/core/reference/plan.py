@@ -67,8 +67,19 @@ Handed = tuple[Flown, Mapping[int, Vector3], HandedOver]
 class ReferencePlan:
     """The RFT flown, the change that waits, and the RFT of the last leader."""
 
-    def __init__(self, first: Rft, read: Read, refusal_of_slots: RefusalOfSlots, limits: BlendLimits) -> None:
-        """`first` is the configured RFT; `read` checks a commanded one, `refusal_of_slots` other slots for one."""
+    def __init__(
+        self,
+        first: Rft,
+        described: Described | None,
+        read: Read,
+        refusal_of_slots: RefusalOfSlots,
+        limits: BlendLimits,
+    ) -> None:
+        """`first` is the configured RFT, `described` as a command would bring it, None where none could.
+
+        `read` checks a commanded one, `refusal_of_slots` other slots for one.
+        """
+        self.described = described  # the RFT flown
         self._read = read
         self._refusal_of_slots = refusal_of_slots
         self._limits = limits
@@ -293,7 +304,7 @@ class ReferencePlan:
         return flown, f"hand-over of {lasts_s:.1f} s"
 
     def _take(self, change: ReferenceChange, rft: Rft, flown: Flown) -> None:
-        self._change, self._rft, self._flown = change, rft, flown
+        self._change, self._rft, self._flown, self.described = change, rft, flown, change.reference
         self.flown_count += 1
         self._begun_s, self.target_age_s = change.begins_s, None
         # A target is followed from then on.

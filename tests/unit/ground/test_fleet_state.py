@@ -7,10 +7,10 @@ from math import inf, pi, sqrt
 import pytest
 
 from common import with_fields
-from companion.ground.fleet_state import MOST_VEHICLES, SILENT_AFTER_S, FleetState, fold, vehicles_at
+from companion.ground.fleet_state import MOST_VEHICLES, SILENT_AFTER_S, FleetState, flown_reference, fold, vehicles_at
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag, Role
-from companion.types.formation import FlownSlot, Heading, LeaderBeacon
+from companion.types.formation import FlownSlot, Heading, HeldReference, LeaderBeacon
 from companion.types.status import Status
 from companion.types.values import Vector3
 from companion.wire.messages import StatusReport
@@ -179,3 +179,21 @@ def test_a_silent_vehicle_is_no_flight_and_other_flags_are_always_shown() -> Non
     state = received(follower(1), at_s=100.0)
     state = received(follower(2, phase=FlightPhase.OBSERVE, flags=flags), at_s=110.0, state=state)
     assert vehicles_at(state, 110.0)[1].flags == (HealthFlag.MODE_STALE,)
+
+
+def test_a_described_reference_holds_until_another_one_is_flown() -> None:
+    circle, held = {"kind": "circle", "radius_m": 4.0}, HeldReference(flown=2, waiting=2, begun_s=10.0)
+    state = received(leader(described=circle, reference=held), follower(2, described={"kind": "point"}))
+    fleet = STATUS.agent.fleet
+    assert flown_reference(state, fleet) == circle
+    later = received(leader(reference=HeldReference(2, 3, 10.0)), at_s=101.0, state=state)  # another one waits
+    assert flown_reference(later, fleet) == circle
+    assert flown_reference(later, "other") is None
+    for other in (
+        leader(reference=HeldReference(3, 3, 30.0)),
+        leader(reference=HeldReference(2, 2, 0.0)),  # after a landing
+        leader(reference=held, session=99),
+    ):
+        assert flown_reference(received(other, at_s=101.0, state=state), fleet) is None
+    follows = received(leader(reference=held, role=Role.FOLLOWER), leader(vehicle_id=3), at_s=101.0, state=state)
+    assert flown_reference(follows, fleet) is None

@@ -16,7 +16,7 @@ from companion.ground.fleet_state import MOST_VEHICLES
 from companion.monitor.api import Snapshot, VehicleView
 from companion.monitor.snapshot import KEPT_S, PERIOD_S, Picture
 from companion.types.autopilot import LandedState
-from companion.types.flight import FlightPhase, HealthFlag
+from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.status import NO_STATE_AGE_S, Status
 from companion.wire.messages import StatusReport
 from ground_fleet import TIMING, leader, reported
@@ -250,6 +250,21 @@ def test_homes_are_where_vehicles_were_last_disarmed_on_the_ground(load: SteadyF
     assert view is not None
     assert view.homes_enu_m == {2: (1.0, 2.0, 0.1)}
     assert picture.fleet_map("other") is None
+
+
+def test_the_map_has_the_line_of_the_reference_that_the_leader_describes(load: SteadyFleet) -> None:
+    square = {"kind": "waypoints", "points_enu_m": [[0.0, 0.0, 9.0], [8.0, 0.0, 9.0], [8.0, 6.0, 9.0]]}
+    picture = Picture({"load": load.fleet}, "anna@ground")
+    for described, expected in (
+        (square, ((0.0, 0.0, 9.0), (8.0, 0.0, 9.0), (8.0, 6.0, 9.0))),
+        ({"kind": "point", "point_enu_m": [1.0, 2.0, 3.0]}, ((1.0, 2.0, 3.0),)),
+        ({"kind": "sausage"}, ()),
+        (square | {"points_enu_m": "none"}, ()),
+    ):
+        picture_of(with_fields(load.report(1, 0.0).status, role=Role.LEADER, described=described), picture=picture)
+        view = picture.fleet_map("load")
+        assert view is not None
+        assert view.reference_enu_m == expected
 
 
 def test_a_report_of_an_older_agent_has_no_weights() -> None:

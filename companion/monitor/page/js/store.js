@@ -8,6 +8,7 @@ import { Trails } from "./trails.js";
 const KEPT_EVENTS = 500;
 const JUMP_S = 3; // a larger step in time is a seek: what came before belongs elsewhere
 const FILE_AGAIN_MS = 5000; // homes change
+const DESCRIBED_AFTER_MS = 2200; // after another reference its leader describes it: DESCRIBED_EVERY of core/report.py
 const NO_FILE_AGAIN_MS = 60000; // without a fleet file the server answers 404
 const HISTORY_AGAIN_MS = 5000; // a slow connection misses snapshots all the time
 
@@ -28,6 +29,7 @@ export class Store {
     this.file = null; // FleetFileView
     this._fleetName = null;
     this._fileNextMs = 0; // when the file is asked for again
+    this._reference = undefined; // flown when it was asked for
     this._historyAsked = false;
     this._historyNextMs = 0; // when it may be asked for again because of missed snapshots
     this._missed = true; // events that only the history has
@@ -118,8 +120,11 @@ export class Store {
   /** The fleet file, again from time to time because of the homes. Calls `onFile(file)`. */
   async refreshFile(nowMs, onFile) {
     const name = this.fleetName;
-    if (name === null || nowMs < this._fileNextMs) return;
-    this._fileNextMs = nowMs + FILE_AGAIN_MS;
+    const reference = this.vehicles.find((vehicle) => vehicle.reference_enu_m)?.reference;
+    const changed = reference !== this._reference;
+    if (name === null || (nowMs < this._fileNextMs && !changed)) return;
+    this._fileNextMs = nowMs + (changed ? DESCRIBED_AFTER_MS : FILE_AGAIN_MS);
+    this._reference = reference;
     const file = await get(`fleets/${encodeURIComponent(name)}`).catch(() => null);
     if (name !== this.fleetName) return;
     if (!file) {

@@ -6,7 +6,7 @@ import { listen } from "./gestures.js";
 import { drawFence, drawGrid, drawHomes, drawNorth, drawObstacles, drawOrigin, drawScaleBar } from "./ground.js";
 import { drawEdges, drawSlot } from "./links.js";
 import { Pen } from "./pen.js";
-import { drawPoints, drawPreview } from "./plan.js";
+import { drawPoints, drawPreview, drawReference } from "./plan.js";
 import { metresPerDegree, Tiles } from "./tiles.js";
 import { drawSafetyDistance, drawSmallestSeparation, drawTrail, drawVehicle, roomForLabels, trailBands } from "./vehicles.js";
 
@@ -82,6 +82,8 @@ export class FleetMap {
     drawGrid(pen);
     drawOrigin(pen);
     this._drawPlace(pen, shown);
+    const leaders = [...shown.values()].filter((vehicle) => vehicle.reference_enu_m && !vehicle.silent);
+    drawReference(pen, store.file?.reference_enu_m ?? [], leaders);
     this._drawFleet(pen, shown, nowMs);
     if (store.preview) drawPreview(pen, store.preview);
     if (store.drawing) drawPoints(pen, store.drawing.points);

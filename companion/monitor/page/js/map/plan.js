@@ -1,4 +1,14 @@
-/** What has not been sent yet: the preview of a formation or reference, and the points that are being drawn. */
+/** The reference that is flown, and what has not been sent yet: the preview of a change, and the points that are placed. */
+
+/** The line of the reference as its leader reports it, and where the reference is now. */
+export function drawReference(pen, track, leaders) {
+  if (track.length > 1) pen.line(track, { colour: "quiet", width: 1.5, dash: [9, 3, 2, 3] });
+  for (const { reference_enu_m: now } of leaders) {
+    const [x, y] = pen.camera.project(now);
+    pen.circle(now, 5 / pen.camera.scale, { colour: "text", width: 2 });
+    pen.text("R", x + 11, y + 10, { size: 11, weight: 700 });
+  }
+}
 
 export function drawPreview(pen, preview) {
   for (const path of preview.paths) {

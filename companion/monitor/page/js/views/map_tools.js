@@ -24,6 +24,7 @@ export function legend() {
     <li><span class="key">→</span> where it will be in 1 s</li>
     <li><span class="key">━</span> weight of a neighbour</li>
     <li><span class="key">┅</span> neighbour with old data</li>
+    <li><span class="key">○R</span> the reference now, on its line</li>
     <li><span class="key">◌</span> circles touch at separation_m</li>
   </ul></details>`;
 }
