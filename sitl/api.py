@@ -21,6 +21,7 @@ import numpy as np
 from msgspec import to_builtins
 
 from companion.analysis.interaction import FloatArray
+from companion.config.file import ConfigError
 from companion.config.named_files import read_named, with_overrides
 from companion.config.new_formation import inline
 from companion.tools.analysis import Analysis, LawAnalysis, analyse
@@ -140,7 +141,10 @@ def load(scenario: Source, overrides: Overrides = NOTHING, law: str | None = Non
     file = None if isinstance(scenario, Scenario) else scenario_file(Path(scenario))
     found = load_scenario(file) if file else cast(Scenario, scenario)
     if law is not None:
-        found = with_law(found, law)
+        try:
+            found = with_law(found, law)
+        except ConfigError as error:
+            raise ConfigError.of([ConfigError("law", "", line) for line in error.lines]) from error
     elif not overrides:
         return found
     lines = [f"{key}={inline(_plain(value))}" for key, value in overrides.items()]

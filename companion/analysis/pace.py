@@ -38,8 +38,8 @@ def following_steps(
     if min(dist(a, b) for a, b in combinations(slots_m.values(), 2)) < fleet.separation_m * (1.0 - ROUNDING):
         return None  # refused by themselves
     if ids := ", ".join(map(str, unreached(fleet, slots_enu_m))):
-        text = f"no path leads from a leader to vehicle {ids}, which would not follow it; add an edge or more range"
-        return Problem(where, text)
+        text = f"no path leads from a leader to vehicle {ids}; add an edge, more range, or a leader among them"
+        return Problem("fleet.neighbours", text)
     chains = chains_of(fleet, law, slots_enu_m, drag_1_s)
     yield
     try:

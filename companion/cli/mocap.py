@@ -53,8 +53,8 @@ def _run_mocap(options: argparse.Namespace) -> int:
       rate_hz: 100                     at most so many poses per second; without it each frame
       latency_s: 0.01                  age of a frame, where the system does not say it: all but natnet
 
-    natnet reads OptiTrack on every machine. The others need the library motioncapture, which exists for amd64 alone. Both
-    are the extra mocap: pip install '.[mocap]'.
+    natnet reads OptiTrack on every machine. The others need the library motioncapture, which exists for amd64 alone. Where
+    one is missing, `companion mocap` says how this installation gets it.
 
     Make each rigid body while the vehicle stands level, with its nose along forward: the body then has the axes of the
     frame. `check` says what it sees, as "moved 1.02 m to the west; expected east: set forward: -x". The first body is moved

@@ -23,6 +23,7 @@ from companion.types.values import quoted
 
 Arguments = ParamSpec("Arguments")
 T = TypeVar("T")
+LISTED_UP_TO = 8  # keys of a section that an unknown key is answered with
 PLAIN_WORDS = {
     "object": "a section with keys",
     "array": "a list",
@@ -352,7 +353,10 @@ def _hint(field: str, key: object, known: Iterable[str], cls: type) -> str:
     if key not in paths and (hint := did_you_mean(key, known)):
         return hint
     near = nearest(key, paths)
-    return f'; did you mean "{_join(field, paths[near])}"?' if near else "; take it out"
+    if near:
+        return f'; did you mean "{_join(field, paths[near])}"?'
+    names = list(known)
+    return f"; expected one of {', '.join(names)}" if 0 < len(names) <= LISTED_UP_TO else "; take it out"
 
 
 def _as_yaml_number(value: Any) -> str:

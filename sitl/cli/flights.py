@@ -146,9 +146,12 @@ def _run_fly(parsed: argparse.Namespace) -> int:
     starts_enu_m, with the parameters that an agent requires, and ends it after the flight (docs/external.md). A vehicle whose
     autopilot the scenario names under stand_in.vehicles gets that type. All figures are from the true positions of their
     simulations. autopilot_N.log and autopilot_N/ have its output and logs.
-    --external FILE connects to autopilots that another program has started, at the endpoints in FILE. They are never ended: the
-    vehicles are landed and left. Their true positions are unknown: estimated_N.csv instead of truth_N.csv holds the positions
-    that each reported in the air, ten times a second, and summary.json has `tracks: estimated`.
+    --external FILE connects to autopilots that another program has started, at the endpoints in FILE, one line for a vehicle:
+      external_vehicles:
+        - {id: 1, mavlink: udpin:127.0.0.1:14540, autopilot: px4, hover_thrust_norm: 0.5, drag_1_s: 1.0}
+        - {id: 2, mavlink: tcp:127.0.0.1:5772, autopilot: ardupilot, hover_thrust_norm: 0.39}
+    They are never ended: the vehicles are landed and left. Their true positions are unknown: estimated_N.csv instead of
+    truth_N.csv holds the positions that each reported in the air, ten times a second, and summary.json has `tracks: estimated`.
     With either no command is given before all vehicles are ready: the autopilots' own checks pass, origin and position are
     known, parameters are in order, and each vehicle is on the ground within 10 m of its starts_enu_m, by fleet.origin, and
     apart from the others. A vehicle that is armed, or taken over by its pilot, is left alone.

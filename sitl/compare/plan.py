@@ -52,6 +52,20 @@ class Place:
         """ "chain 16, noise, links.peer_loss=0.1"."""
         return ", ".join([f"{self.graph} {self.vehicles}", self.condition, *self.varied])
 
+    @property
+    def panel(self) -> str:
+        """ "noise, peer_loss=0.1": of the varied keys the ends that tell them apart."""
+        pairs = [varied.split("=", 1) for varied in self.varied]
+        ends = {key: _end(key, [other for other, _ in pairs if other != key]) for key, _ in pairs}
+        return ", ".join([self.condition, *(f"{ends[key]}={value}" for key, value in pairs)])
+
+
+def _end(key: str, others: Sequence[str]) -> str:
+    """The shortest end of a key that no other key has."""
+    parts = key.split(".")
+    ends = (".".join(parts[-count:]) for count in range(1, len(parts)))
+    return next((end for end in ends if not any(f".{other}".endswith(f".{end}") for other in others)), key)
+
 
 @dataclass(frozen=True, slots=True)
 class Cell:

@@ -126,17 +126,7 @@ def _draw_cell(axes: Axes, at: tuple[int, int], median_s: float | None, seconds:
 
 
 def _label(place: Place) -> str:
-    return ", ".join([f"{place.graph} {place.vehicles}", _panel(place)])
-
-
-def _panel(place: Place) -> str:
-    """Condition and values of --vary, these with the last part of their keys."""
-    return ", ".join([place.condition, *(_short(varied) for varied in place.varied)])
-
-
-def _short(varied: str) -> str:
-    key, _, value = varied.partition("=")
-    return f"{key.rpartition('.')[2]}={value}"
+    return ", ".join([f"{place.graph} {place.vehicles}", place.panel])
 
 
 def _folded(law: str) -> str:
@@ -150,7 +140,7 @@ def _panels(places: Sequence[Place]) -> dict[str, list[Place]]:
     """Places by condition and values of --vary."""
     found: dict[str, list[Place]] = {}
     for place in places:
-        found.setdefault(_panel(place), []).append(place)
+        found.setdefault(place.panel, []).append(place)
     return dict(list(found.items())[:MOST_PANELS])
 
 

@@ -91,6 +91,8 @@ def test_what_cannot_be_flown_is_one_line() -> None:
         fly("platoon", law="none")
     with pytest.raises(ConfigError, match=r"platoon: stand_in\.seed: -1"):
         fly("platoon", seed=-1)
+    with pytest.raises(ConfigError, match=r"^law: mine/missing\.py: cannot be read"):
+        load("platoon", law="mine/missing.py")
     with pytest.raises(ConfigError, match="did you mean platoon"):
         load("platon")
     unreached = {"fleet.neighbours": {"kind": "edges", "edges": [[1, 2]]}}

@@ -305,7 +305,8 @@ def test_a_reference_of_vehicles_without_a_path_is_refused_for_that() -> None:
     content["fleet"]["neighbours"]["edges"] = [[1, 2], [3, 4]]
     fleet = convert(Path("fleet.yaml"), content["fleet"], FleetConfig)
     (problem,) = flyable_problems(fleet, convert(Path("fleet.yaml"), content["reference"], Reference))
-    assert problem.text.startswith("no path leads from a leader to vehicle 3, 4, which would not follow it")
+    assert problem.field == "fleet.neighbours"
+    assert problem.text.startswith("no path leads from a leader to vehicle 3, 4; add an edge")
 
 
 @pytest.mark.parametrize(

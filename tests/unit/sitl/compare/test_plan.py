@@ -9,7 +9,7 @@ from companion.config.law import LawSection
 from lockstep_fleet import PLATOON_FILE
 from sitl.compare.flights import MAX_PAIRS, MAX_SAMPLES, chunk_size, jobs_of
 from sitl.compare.options import MAX_FLIGHTS, CompareOptions
-from sitl.compare.plan import Plan, law_of_text, plan_of
+from sitl.compare.plan import Place, Plan, law_of_text, plan_of
 from sitl.compare.vary import axis_of
 from tests.helpers.bad_laws import BAD_LAWS, write_law
 
@@ -114,6 +114,21 @@ def test_values_are_yaml() -> None:
     axis = axis_of("links.peer_loss=0, 0.1,true,word")
     assert [choice.value for choice in axis.choices] == [0, 0.1, True, "word"]
     assert [choice.text for choice in axis.choices] == ["0", "0.1", "true", "word"]
+
+
+@pytest.mark.parametrize(
+    ("varied", "panel"),
+    [
+        (("links.peer_loss=0.1",), "noise, peer_loss=0.1"),
+        (
+            ("stand_in.vehicles.1.sensors=ideal", "stand_in.sensors=default"),
+            "noise, 1.sensors=ideal, stand_in.sensors=default",
+        ),
+        (("sensors=ideal", "stand_in.sensors=default"), "noise, sensors=ideal, stand_in.sensors=default"),
+    ],
+)
+def test_varied_keys_are_told_apart_in_figures(varied: tuple[str, ...], panel: str) -> None:
+    assert Place("chain", 4, "noise", varied).panel == panel
 
 
 @pytest.mark.parametrize(
