@@ -11,7 +11,7 @@ def how_to_install(extra: str) -> str:
     source = Path(__file__).parents[1]
     if (source / "pyproject.toml").is_file():
         return f"{sys.executable} -m pip install '{source}[{extra}]'"
-    return f"it was left out of this installation; use a computer with the source tree, and install its extra [{extra}]"
+    return f"this installation is without the extra [{extra}]; install it on a computer with the source tree"
 
 
 GROUND_INSTALL = how_to_install("ground")

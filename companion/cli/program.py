@@ -52,7 +52,7 @@ class CliCommand:
         missing = [package for package in self.needs if not find_spec(package)]
         if missing:
             verb = "is" if len(missing) == 1 else "are"
-            raise UnusableError(f"{program} {self.name}: {', '.join(missing)}: {verb} not installed; {GROUND_INSTALL}")
+            raise UnusableError(f"{program} {self.name}: {', '.join(missing)} {verb} not installed; {GROUND_INSTALL}")
 
 
 def command(

@@ -116,8 +116,7 @@ def _run_fly(parsed: argparse.Namespace) -> int:
     examples:
       sitl fly platoon                        the paper's platoon with the paper's law
       sitl fly platoon --law average_22       with another law
-      sitl fly platoon --compare              all laws in turn, one table, one figure
-      sitl fly platoon --compare average_26   only these two
+      sitl fly platoon --compare average_26   also with this one, one table, one figure; --compare alone: with all
       sitl fly platoon --autopilot ardupilot  stand-ins that behave like ArduCopter instead of PX4
       sitl fly platoon --external ardupilot   with four real ArduCopters in their own simulation
       sitl fly four_in_line --external px4 --binary ~/px4/build/px4_sitl_sih/bin/px4
@@ -146,10 +145,9 @@ def _run_fly(parsed: argparse.Namespace) -> int:
     starts_enu_m, with the parameters that an agent requires, and ends it after the flight (docs/external.md). A vehicle whose
     autopilot the scenario names under stand_in.vehicles gets that type. All figures are from the true positions of their
     simulations. autopilot_N.log and autopilot_N/ have its output and logs.
-    --external FILE connects to autopilots that another program has started, at the endpoints in FILE, one line for a vehicle:
-      external_vehicles:
-        - {id: 1, mavlink: udpin:127.0.0.1:14540, autopilot: px4, hover_thrust_norm: 0.5, drag_1_s: 1.0}
-        - {id: 2, mavlink: tcp:127.0.0.1:5772, autopilot: ardupilot, hover_thrust_norm: 0.39}
+    --external FILE connects to autopilots that another program has started, at the endpoints in FILE, with a line for each:
+      external_vehicles: [{id: 1, mavlink: udpin:127.0.0.1:14540, autopilot: px4, hover_thrust_norm: 0.5, drag_1_s: 1.0},
+                          {id: 2, mavlink: tcp:127.0.0.1:5772, autopilot: ardupilot, hover_thrust_norm: 0.39}]
     They are never ended: the vehicles are landed and left. Their true positions are unknown: estimated_N.csv instead of
     truth_N.csv holds the positions that each reported in the air, ten times a second, and summary.json has `tracks: estimated`.
     With either no command is given before all vehicles are ready: the autopilots' own checks pass, origin and position are
@@ -157,9 +155,8 @@ def _run_fly(parsed: argparse.Namespace) -> int:
     apart from the others. A vehicle that is armed, or taken over by its pilot, is left alone.
 
     On a busy machine a line after the figures reports it: where more than 0.5 % of the ticks were missed, or an agent took more
-    than 5 ms (p99) from telemetry to command, the figures are those of the machine rather than of the law.
-
-    Ctrl-C lands all vehicles and stops everything; a second Ctrl-C stops at once.
+    than 5 ms (p99) from telemetry to command, the figures are those of the machine rather than of the law. Ctrl-C lands all
+    vehicles and stops everything; a second Ctrl-C stops at once.
 
     exit codes:
       0    flown and landed

@@ -158,7 +158,7 @@ def test_a_command_without_its_packages_names_what_to_install(installed: Environ
     scenario = ["x.yaml"] if command in ("run", "fly") else []
     done = installed.run("sitl", command, *scenario)
     assert done.returncode == 2
-    assert "not installed; it was left out of this installation" in done.stderr
+    assert "not installed; this installation is without the extra [ground]" in done.stderr
     assert "install its extra [ground]" in done.stderr
     assert done.stderr.count("\n") == 1
 

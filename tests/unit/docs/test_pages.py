@@ -67,6 +67,14 @@ def test_lines_of_prose_are_at_most_100_columns(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=names(PAGES))
+def test_every_table_has_a_head(page: Path) -> None:
+    """Rows after an empty line are no table: they are shown as they stand."""
+    paragraphs = re.split(r"\n\s*\n|\n(?!\|)", prose(page))
+    tables = [rows.split("\n") for rows in paragraphs if rows.startswith("|")]
+    assert [rows[0] for rows in tables if len(rows) < 2 or not re.fullmatch(r"[|:\- ]+", rows[1])] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=names(PAGES))
 def test_paths_in_the_text_exist(page: Path) -> None:
     missing = [path for path in CODE_PATH.findall(prose(page)) if not (ROOT / path).exists()]
     assert missing == []

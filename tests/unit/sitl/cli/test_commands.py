@@ -27,7 +27,7 @@ def interrupted(*_: object, **__: object) -> NoReturn:
 def test_a_missing_package_is_reported_in_one_line(command: str, package: str) -> None:
     code = WITHOUT.format(package=package, command=command)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
-    wanted = f"sitl {command}: {package}: is not installed; {GROUND_INSTALL}\n"
+    wanted = f"sitl {command}: {package} is not installed; {GROUND_INSTALL}\n"
     assert (done.returncode, done.stderr) == (2, wanted)
 
 
