@@ -35,4 +35,6 @@ page-vendor:
 	rm -rf $(PAGE_VENDOR)/lit-html $(PAGE_VENDOR)/uplot && mkdir -p $(PAGE_VENDOR)/lit-html/directives $(PAGE_VENDOR)/uplot
 	cd build/page-vendor/node_modules/lit-html && cp LICENSE lit-html.js directive.js directive-helpers.js $(CURDIR)/$(PAGE_VENDOR)/lit-html
 	cp build/page-vendor/node_modules/lit-html/directives/repeat.js $(PAGE_VENDOR)/lit-html/directives
+	mkdir -p tests/page/vendor/axe-core
+	cd build/page-vendor/node_modules/axe-core && cp LICENSE LICENSE-3RD-PARTY.txt axe.min.js $(CURDIR)/tests/page/vendor/axe-core
 	cd build/page-vendor/node_modules/uplot && cp LICENSE dist/uPlot.esm.js dist/uPlot.min.css $(CURDIR)/$(PAGE_VENDOR)/uplot

@@ -12,6 +12,7 @@ from common import ROOT
 
 PAGE = ROOT / "companion" / "monitor" / "page"
 VENDOR = PAGE / "vendor"
+OF_TESTS = ROOT / "tests" / "page" / "vendor"
 OWN = sorted(file for file in PAGE.rglob("*") if file.is_file() and VENDOR not in file.parents)
 SCRIPTS = sorted(PAGE.rglob("*.js"))
 STYLES = sorted(PAGE.rglob("*.css"))
@@ -57,12 +58,14 @@ def test_every_part_of_the_page_is_used() -> None:
     assert {file.resolve() for file in (*SCRIPTS, *STYLES)} - imported - linked == set()
 
 
-def test_vendored_libraries_have_their_licences_and_versions() -> None:
-    wanted = json.loads((VENDOR / "package.json").read_text(encoding="utf-8"))["dependencies"]
+@pytest.mark.parametrize(("folder", "kind"), [(VENDOR, "dependencies"), (OF_TESTS, "devDependencies")])
+def test_vendored_libraries_have_their_licences_and_versions(folder: Path, kind: str) -> None:
+    """Those of the tests alone are not shipped."""
+    wanted = json.loads((VENDOR / "package.json").read_text(encoding="utf-8"))[kind]
     locked = json.loads((VENDOR / "package-lock.json").read_text(encoding="utf-8"))["packages"]
-    assert sorted(folder.name for folder in VENDOR.iterdir() if folder.is_dir()) == sorted(wanted)
+    assert sorted(library.name for library in folder.iterdir() if library.is_dir()) == sorted(wanted)
     for name, version in wanted.items():
-        assert (VENDOR / name / "LICENSE").read_text(encoding="utf-8").strip()
+        assert (folder / name / "LICENSE").read_text(encoding="utf-8").strip()
         assert locked[f"node_modules/{name}"]["version"] == version
         assert locked[f"node_modules/{name}"]["integrity"].startswith("sha512-")
     assert not any("resolved" in package for package in locked.values())  # no download host

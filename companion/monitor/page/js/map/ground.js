@@ -62,7 +62,7 @@ export function drawHomes(pen, file, shownIds) {
       colour: "quiet",
       width: 1.2,
     });
-    pen.text(id, x, y + 2, { colour: "quiet", size: 9, bare: true });
+    pen.text(id, x, y + 2, { colour: "quiet", size: 10 });
   }
 }
 
