@@ -4,7 +4,7 @@
 ## make docs-words  words of the pages that are written by hand
 ## make site       builds the browsable documentation into build/site (needs npm, for the diagrams)
 ## make pictures   flies the scenarios of docs/scenarios.md in virtual time and draws them again
-## make screenshots  the pictures of docs/monitor.md, from the live page in Debian's Chromium (a minute)
+## make screenshots  the pictures of docs/monitor.md and docs/report.md, in Debian's Chromium (two minutes)
 
 .PHONY: docs-check docs-words site pictures screenshots
 
@@ -28,7 +28,11 @@ pictures: .venv/fly.ready
 	$(BIN)/sitl run config/scenarios/platoon.yaml --quiet --compare average_22 --out runs/pictures/platoon
 	cp runs/pictures/platoon/comparison.png docs/images/platoon_comparison.png
 
+# The flight of the report has a finding: for a moment the network loses a vehicle.
 screenshots: .venv/test.ready
+	$(BIN)/sitl run config/scenarios/formations.yaml --quiet --record --out runs/pictures/report \
+	  --set 'links.partitions=[{vehicles: [8], from_s: 40, until_s: 40.45}]'
+	$(BIN)/companion report runs/pictures/report
 	$(BIN)/python tests/page/screenshots.py
 
 # Scripts of the site: Mermaid draws the diagrams, iframe-worker searches pages that are opened as files. They become part of

@@ -1,9 +1,14 @@
-"""The pictures of docs/monitor.md: `make screenshots`. The page is real, its fleet is that of the page's tests."""
+"""The pictures of docs/monitor.md and docs/report.md: `make screenshots`.
+
+The live page is real, its fleet is that of the page's tests. The report is of a flight in virtual
+time, which the target flies.
+"""
 
 from __future__ import annotations
 
 import sys
 import time
+from io import BytesIO
 from pathlib import Path
 
 from msgspec.structs import replace
@@ -21,6 +26,8 @@ CHROMIUM = "/usr/bin/chromium"
 COLOURS = 200
 TRAIL_S = 14.0
 DESK, PHONE = (1440, 900), (390, 844)
+REPORT = ROOT / "runs" / "pictures" / "report" / "report.html"
+SHEET, MARGIN_PX, GAP_PX = (920, 1301), 47, 20  # A4 upright
 BATTERY_LOW = FlagView(
     "BATTERY_LOW", "warning", "battery below leave_below_percent", "hold", "land it and change its battery"
 )
@@ -36,10 +43,13 @@ def troubled(vehicles: list[VehicleView]) -> list[VehicleView]:
 
 
 def save(page: Page | Locator, name: str) -> None:
-    file = IMAGES / f"monitor_{name}.png"
-    page.screenshot(path=file)
-    with Image.open(file) as image:
-        image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(file, optimize=True)
+    with Image.open(BytesIO(page.screenshot())) as image:
+        write(image, f"monitor_{name}")
+
+
+def write(image: Image.Image, name: str) -> None:
+    reduced = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+    reduced.save(IMAGES / f"{name}.png", optimize=True)
 
 
 def opened(browser: Browser, server: PageServer, size: tuple[int, int], scheme: str = "light") -> Page:
@@ -107,11 +117,28 @@ def replayed(browser: Browser) -> None:
         page.close()
 
 
+def report(browser: Browser) -> None:
+    """The first sheet and that of the formation, as printed, side by side."""
+    width, height = SHEET
+    page = browser.new_page(viewport={"width": width, "height": height})
+    page.emulate_media(media="print")
+    page.goto(REPORT.as_uri())
+    page.add_style_tag(content=f"body {{ padding: {MARGIN_PX}px; }}")
+    tops = [0.0, page.evaluate("document.getElementById('formation').getBoundingClientRect().top") - MARGIN_PX]
+    both = Image.new("RGB", (2 * width + GAP_PX, height), "grey")
+    for number, top in enumerate(tops):
+        png = page.screenshot(full_page=True, clip={"x": 0, "y": top, "width": width, "height": height})
+        with Image.open(BytesIO(png)) as sheet:
+            both.paste(sheet, (number * (width + GAP_PX), 0))
+    write(both, "report")
+    page.close()
+
+
 if __name__ == "__main__":
     wanted = sys.argv[1:]
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        for picture in (live, night, phone, lost, replayed):
+        for picture in (live, night, phone, lost, replayed, report):
             if not wanted or picture.__name__ in wanted:
                 picture(chromium)
         chromium.close()
