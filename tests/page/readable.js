@@ -3,7 +3,10 @@
 (() => {
   const TEXT_RATIO = 4.5;
   const SHAPE_RATIO = 3; // WCAG 1.4.11: what is no text
+  const GROUND_PX = 10; // the size of texts that lie below the vehicles
   const drawn = new Map(); // what the canvases have written, by its colours
+  let onMap = []; // the texts of the frame of the map that is being drawn, with their boxes
+  let shownOnMap = []; // those of the last whole frame
 
   const frame = () => new Promise((done) => requestAnimationFrame(done));
   const written = (e) => e.matches("input, select") || [...e.childNodes].some((n) => n.nodeType === 3 && n.data.trim());
@@ -98,12 +101,16 @@
   /** A text with an outline is read against it, one on a symbol against the colour of that, any other against the panel. */
   function watchCanvases() {
     const own = CanvasRenderingContext2D.prototype;
-    const { fill, fillText, strokeText } = own;
+    const { fill, fillRect, fillText, strokeText } = own;
     const filled = new WeakMap();
     const outlined = new WeakMap();
     own.fill = function (...args) {
       filled.set(this, this.fillStyle);
       return fill.apply(this, args);
+    };
+    own.fillRect = function (...args) {
+      if (this.canvas.id === "scene") [shownOnMap, onMap] = [onMap, []]; // the map begins with its ground
+      return fillRect.apply(this, args);
     };
     own.strokeText = function (text, ...args) {
       outlined.set(this, [text, this.strokeStyle]);
@@ -111,8 +118,9 @@
     };
     own.fillText = function (text, ...args) {
       const [outlinedText, outline] = outlined.get(this) ?? [];
-      const onMap = this.canvas.id === "scene";
-      const below = !onMap ? getComputedStyle(this.canvas.closest(".panel")).backgroundColor
+      const isMap = this.canvas.id === "scene";
+      if (isMap) onMap.push({ text, box: boxOf(this, text, ...args), sizePx: Number(this.font.match(/([\d.]+)px/)[1]) });
+      const below = !isMap ? getComputedStyle(this.canvas.closest(".panel")).backgroundColor
         : outlinedText === text ? outline : filled.get(this);
       outlined.delete(this);
       filled.set(this, this.fillStyle);
@@ -121,6 +129,20 @@
       drawn.set(`${this.fillStyle} on ${below}`, [ratio(...colours), text]);
       return fillText.call(this, text, ...args);
     };
+  }
+
+  /** [left, top, right, bottom] of a text in the middle of a place. */
+  function boxOf(context, text, x, y) {
+    const { width, actualBoundingBoxAscent: up, actualBoundingBoxDescent: down } = context.measureText(text);
+    return [x - width / 2, y - up, x + width / 2, y + down];
+  }
+
+  /** Pairs of texts on the map that overlap, without those of the ground below the vehicles; without ids where symbols overlap. */
+  function overlapping({ ids }) {
+    const seen = shownOnMap.filter(({ text, sizePx }) => sizePx > GROUND_PX && !(ids ? /^[A-Z▲]$/ : /^\d+$|^.$/).test(text));
+    const meet = (a, b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+    const pairs = seen.flatMap((one, i) => seen.slice(0, i).map((other) => [one, other]));
+    return pairs.filter(([one, other]) => meet(one.box, other.box)).map((pair) => pair.map(({ text }) => text).join(" and "));
   }
 
   /** Of what canvases write from now on, in the colours of now. */
@@ -153,6 +175,8 @@
 
   watchCanvases();
   globalThis.readable = {
+    overlapping,
+    onMap: () => shownOnMap.map(({ text }) => text),
     cutOff: () => inEachTab([cutOff]),
     colours: async () => [...(await drawnPale()), ...(await inEachTab([pale, violations]))],
   };

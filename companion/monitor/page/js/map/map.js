@@ -5,10 +5,11 @@ import { Camera } from "./camera.js";
 import { listen } from "./gestures.js";
 import { drawFence, drawGrid, drawHomes, drawNorth, drawObstacles, drawOrigin, drawScaleBar } from "./ground.js";
 import { drawEdges, drawSlot } from "./links.js";
+import { Labels } from "./labels.js";
 import { Pen } from "./pen.js";
 import { drawPoints, drawPreview, drawReference } from "./plan.js";
 import { metresPerDegree, Tiles } from "./tiles.js";
-import { drawSafetyDistance, drawSmallestSeparation, drawTrail, drawVehicle, roomForLabels, trailBands } from "./vehicles.js";
+import { drawSafetyDistance, drawSmallestSeparation, drawTrail, drawVehicle, trailBands } from "./vehicles.js";
 
 const TOUCH_PX = 26; // how near to a vehicle a click selects it
 const MARGIN_PX = 104;
@@ -23,6 +24,7 @@ export class FleetMap {
     this._on = on;
     this._context = canvas.getContext("2d", { alpha: false });
     this.camera = new Camera();
+    this._labels = new Labels();
     this.follows = true; // until the operator moves the map
     this._tiles = new Tiles(on.changed);
     this._resized = true;
@@ -108,18 +110,16 @@ export class FleetMap {
     drawEdges(pen, shown);
     for (const vehicle of vehicles) drawSlot(pen, vehicle);
     if (separationM !== null) for (const vehicle of vehicles) drawSafetyDistance(pen, vehicle, separationM);
-    const labelled = roomForLabels(pen, vehicles);
-    const leaders = new Set(store.fleet?.leader_ids ?? []);
-    const farthestFirst = (a, b) => pen.camera.project(b.position_enu_m)[2] - pen.camera.project(a.position_enu_m)[2];
-    for (const vehicle of vehicles.sort(farthestFirst)) {
-      drawVehicle(pen, vehicle, {
-        selected: store.selected.has(vehicle.vehicle_id),
-        leader: leaders.has(vehicle.vehicle_id),
-        labelled,
-        sinceS: store.freshness.ageS(nowMs) ?? 0,
-      });
+    const { fleet, selected: chosen } = store;
+    const leaders = new Set(fleet?.leader_ids ?? []);
+    const foremost = (v) => Number(chosen.has(v.vehicle_id) || v.silent || v.flags.length > 0);
+    const depth = (v) => pen.camera.project(v.position_enu_m)[2];
+    if (fleet) drawSmallestSeparation(pen, fleet, shown, separationM);
+    for (const vehicle of vehicles.sort((a, b) => foremost(a) - foremost(b) || depth(b) - depth(a))) {
+      const id = vehicle.vehicle_id;
+      drawVehicle(pen, vehicle, { selected: chosen.has(id), leader: leaders.has(id) });
     }
-    if (store.fleet) drawSmallestSeparation(pen, store.fleet, shown, separationM);
+    this._labels.draw(pen, shown, { chosen, leaders, fleet, separationM, sinceS: store.freshness.ageS(nowMs) ?? 0 });
   }
 
   /** Vehicles with a position, by id. */

@@ -43,7 +43,7 @@ export class Pen {
   /** With an outline in the colour of the map, so that lines behind it do not disturb. */
   text(text, x, y, { colour = "text", size = 12, weight = 400, align = "center", bare = false } = {}) {
     const context = this.context;
-    context.font = `${weight} ${size}px system-ui, "Liberation Sans", "DejaVu Sans", sans-serif`;
+    context.font = fontOf(size, weight);
     context.textAlign = align;
     context.textBaseline = "middle";
     if (!bare) {
@@ -54,6 +54,11 @@ export class Pen {
     }
     context.fillStyle = this.colours[colour];
     context.fillText(text, x, y);
+  }
+
+  widthOf(text, { size = 12, weight = 400 }) {
+    this.context.font = fontOf(size, weight);
+    return this.context.measureText(text).width;
   }
 
   _path(points) {
@@ -79,4 +84,8 @@ export class Pen {
     context.setLineDash([]);
     context.globalAlpha = 1;
   }
+}
+
+function fontOf(size, weight) {
+  return `${weight} ${size}px system-ui, "Liberation Sans", "DejaVu Sans", sans-serif`;
 }

@@ -1,16 +1,15 @@
 /** The vehicles on the map: symbol by phase in the vehicle's colour, heading by velocity, leader, selection, safety distance, silence. */
 
 import { FLYING, groupOf } from "../phases.js";
-import { age, metres } from "../format.js";
 import { colourOf } from "../vehicle_look.js";
+import { isNear, nearestPair } from "./labels.js";
 
 const SHAPES = new Map();
 const MOVES_M_S = 0.15; // slower ones have no heading
 const PREDICTED_S = 1; // length of the heading line
-const LABELLED = 16; // of a larger fleet, trails are short and only selected vehicles have a second line
-const CROWDED_PX = 96; // nearer vehicles have no second line
+const MANY = 16; // of a larger fleet, trails are short
 
-export function drawVehicle(pen, vehicle, { selected, leader, labelled, sinceS }) {
+export function drawVehicle(pen, vehicle, { selected, leader }) {
   const [x, y] = pen.camera.project(vehicle.position_enu_m);
   if (pen.camera.is3d) drawStem(pen, vehicle, x, y);
   if (!vehicle.silent) drawHeading(pen, vehicle, x, y);
@@ -19,12 +18,6 @@ export function drawVehicle(pen, vehicle, { selected, leader, labelled, sinceS }
   if (selected) drawRing(pen, x, y, 21, { colour: "accent", width: 3, dash: [7, 4] });
   if (leader) pen.text("★", x + 15, y - 15, { size: 14, weight: 700 });
   if (vehicle.flags.length && !vehicle.silent) drawMark(pen, x - 15, y - 15, vehicle.flags);
-  if (vehicle.silent) {
-    pen.text(`SILENT ${age(vehicle.age_s + sinceS)}`, x, y + 27, { colour: "critical", size: 12, weight: 700 });
-  } else if (labelled || selected) {
-    const height = FLYING.has(vehicle.phase) ? ` ${metres(vehicle.position_enu_m[2], 1)}` : "";
-    pen.text(`${vehicle.phase}${height}`, x, y + 26, { size: 11 });
-  }
 }
 
 /** Circles of half the distance: two that touch are at separation_m. */
@@ -33,30 +26,16 @@ export function drawSafetyDistance(pen, vehicle, separationM) {
   pen.circle(vehicle.position_enu_m, separationM / 2, { colour: "quiet", dash: [2, 3], alpha: 0.9 });
 }
 
-/** A line between the two nearest vehicles with their distance. */
+/** A line between two vehicles that are about as near as they may be. */
 export function drawSmallestSeparation(pen, fleet, vehicles, separationM) {
-  const [a, b] = (fleet.smallest_separation_pair ?? []).map((id) => vehicles.get(id));
-  if (!a || !b || a.silent || b.silent) return;
-  const [from, to] = [a, b].map((vehicle) => pen.camera.project(vehicle.position_enu_m));
-  const distance = Math.hypot(to[0] - from[0], to[1] - from[1]);
-  const near = separationM !== null && fleet.smallest_separation_m < separationM * 1.15;
-  const colour = near ? "critical" : "text";
-  if (near) pen.pixels([from, to], { colour, width: 2, dash: [3, 3] });
-  if (!near && distance < CROWDED_PX) return;
-  const [x, y] = [(from[0] + to[0]) / 2, (from[1] + to[1]) / 2];
-  pen.text(metres(fleet.smallest_separation_m), x, y, { colour, size: 12, weight: 700 });
-}
-
-/** Whether there is room for a second line below each symbol. */
-export function roomForLabels(pen, vehicles) {
-  if (vehicles.length > LABELLED) return false;
-  const seen = vehicles.map((vehicle) => pen.camera.project(vehicle.position_enu_m));
-  return seen.every((a, i) => seen.slice(0, i).every((b) => Math.abs(a[0] - b[0]) > CROWDED_PX || Math.abs(a[1] - b[1]) > 40));
+  const pair = nearestPair(fleet, vehicles);
+  if (!pair || !isNear(fleet, separationM)) return;
+  pen.pixels(pair.map((vehicle) => pen.camera.project(vehicle.position_enu_m)), { colour: "critical", width: 2, dash: [3, 3] });
 }
 
 /** [from, to, opacity] in seconds of age. */
 export function trailBands(vehicleCount) {
-  return vehicleCount > LABELLED ? [[15, 0, 0.7]] : [[60, 30, 0.25], [30, 12, 0.5], [12, 0, 0.85]];
+  return vehicleCount > MANY ? [[15, 0, 0.7]] : [[60, 30, 0.25], [30, 12, 0.5], [12, 0, 0.85]];
 }
 
 /** Paler where it is older. `bands`: trailBands(...). */
