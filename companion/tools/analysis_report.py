@@ -44,6 +44,7 @@ LEGEND = f"""\
     velocity_correction_1_s, for an error that turns once in {ERROR_TURNS_S:g} s. Not of a law with memory,
     which can take the shift out, as integral action does
   transient peak: the largest error of any vehicle over the largest at the start
+  kept: as the separation filter leaves it; all other rows are of the law alone
   no law sooner: so long a leader alone takes under this law, and its motion over all hops, with mean
     delay, wait and loss. It differs by law, as leaders do: behind such a leader no law of followers is
     sooner"""
@@ -267,8 +268,8 @@ def _law_table(analysis: Analysis) -> list[str]:
     add("  a leader alone [s]", lambda law: _number(law.leader_settle_s, 1), of_stable=True)
     add("  behind it no law sooner than [s]", lambda law: _number(law.limit_s, 1), of_stable=True)
     add("largest distance of neighbours [m]", lambda law: _extreme(law.predicted_max_distance_m, max), of_stable=True)
-    add("smallest distance of all [m]", _smallest, of_stable=True)
     add("smallest distance of neighbours [m]", lambda law: _extreme(law.predicted_min_distance_m, min), of_stable=True)
+    add("smallest distance of all, kept [m]", _smallest, of_stable=True)
     if any(law.margin_to_range_m is not None for law in laws):
         add("margin to the range [m]", lambda law: _gain(law.margin_to_range_m), of_stable=True)
     head = f"{'':38}" + "".join(f"{name:>15}" for name in analysis.laws)

@@ -15,6 +15,7 @@ from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
+import msgspec
 from msgspec import Struct
 from msgspec.structs import fields
 
@@ -76,11 +77,12 @@ def _unless_none(getter: Getter) -> Getter:
 
 
 def _cell(value: Any) -> Any:
-    """A list as its items with spaces between them, a count by key as its sum, a yes or no as 1 or 0."""
+    """A list as its items with spaces between them, a count by key as its sum, a section as JSON, a yes or no as 1 or 0."""
     if isinstance(value, tuple | list):
         return " ".join(str(_cell(item)) for item in value)
     if isinstance(value, Mapping):
-        return sum(value.values())
+        counts = all(isinstance(item, int) for item in value.values())
+        return sum(value.values()) if counts else msgspec.json.encode(value).decode()
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, bool):

@@ -54,6 +54,6 @@ def test_a_defect_of_the_program_itself_stays_a_traceback(name: str | None) -> N
 def test_the_advice_fits_the_installation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "companion").mkdir()
     monkeypatch.setattr(companion, "__file__", str(tmp_path / "companion" / "__init__.py"))
-    assert how_to_install("ground").startswith("it was left out of this installation; ")
+    assert how_to_install("ground").startswith("this installation is without the extra [ground]; ")
     (tmp_path / "pyproject.toml").write_text("")
     assert how_to_install("ground").endswith(f" -m pip install '{tmp_path}[ground]'")

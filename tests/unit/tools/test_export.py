@@ -54,7 +54,10 @@ def record(path: Path, vehicle_id: int = 1, unix_s: float = HEADER.unix_s, sessi
     file = RecordingFile(path, replace(HEADER, vehicle_id=vehicle_id, unix_s=unix_s, session=session))
     file.write(DECISION, 101.0, DECISION_1)
     file.write(DECISION, 101.02, replace(DECISION_1, roll_deg=2.5, flags=()))
-    file.write(STATUS, 101.0, StatusReport(directed_status(vehicle_id), DIRECTED_TIMING))
+    status = with_fields(
+        directed_status(vehicle_id), described={"kind": "point", "pace": 1.5}, rejected={"a": 1, "b": 2}
+    )
+    file.write(STATUS, 101.0, StatusReport(status, DIRECTED_TIMING))
     file.close()
 
 
@@ -123,6 +126,7 @@ def test_a_status_is_flat(tmp_path: Path) -> None:
     assert row["status_landed"] == "1"
     assert row["status_leader_beacon_leader_id"] == ""
     assert row["status_reference_east_m"] == "0.0"
+    assert (row["status_described"], row["status_rejected"]) == ('{"kind":"point","pace":1.5}', "3")
     assert row["timing_late_us_p99"] == "2.0"
 
 
