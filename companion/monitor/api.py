@@ -300,12 +300,15 @@ class PathView(Struct, frozen=True):
 class Preview(Struct, frozen=True):
     """`POST /api/v1/preview` with a CommandRequest of `formation` or `reference`: a check of it. Nothing changes.
 
-    `paths` of a formation: from the present slot to the new one. `track_enu_m` of a reference: where it goes. `answers` are
+    `paths` of a formation: from the present slot to the new one. Its `slots_enu_m` are as in the content, in a frame that is
+    turned by `heading_rad` against the fleet frame. `track_enu_m` of a reference: where it goes. `answers` are
     those of the vehicles to the check; none where the ground refuses. `instead` has keys of the content with values that
     would be accepted, where they are known. `warning`: what of the content is probably meant otherwise.
     """
 
     paths: tuple[PathView, ...] = ()
+    slots_enu_m: dict[int, Vector3] = {}
+    heading_rad: float = 0.0
     track_enu_m: tuple[Vector3, ...] = ()
     smallest_separation_m: float | None = None
     lasts_s: float | None = None

@@ -19,7 +19,7 @@ from companion.config.reference import PLACED, Asked, Reference, commanded
 from companion.config.reference_check import accepted_values, reference_problems
 from companion.config.validation import in_plain_words
 from companion.config.values import PositionM
-from companion.geometry.formations import closest_approach, to_separation_metric, turned_slot
+from companion.geometry.formations import ROUNDING_M, closest_approach, to_separation_metric, turned_slot
 from companion.geometry.vectors import mean, minus, rounded
 from companion.ground.belief import Belief, believed
 from companion.ground.changes import (
@@ -46,6 +46,7 @@ SIMPLE = ("arm", "takeoff", "form", HOLD, LAND, "return", "disarm", "take")
 CHANGES = ("leader", "formation", "reference")
 ACTIONS = (*SIMPLE, ABORT, DOCTOR, *CHANGES)
 UNITS = {"_m_s2": "m/s²", "_m_s": "m/s", "_m": "m", "_s": "s"}  # by the end of a key
+ROUNDED = 1e-6  # of a product that is a round number
 REQUEST = Path("request")  # named in an error in place of a file
 
 T = TypeVar("T", bound=Struct)
@@ -208,10 +209,27 @@ def _formation(request: FormationRequest, fleet: FleetConfig, belief: Belief) ->
         )
         if reference_enu_m
         else (),
+        slots_enu_m={i: rounded(slot, 3) for i, slot in slots_enu_m.items()},
+        heading_rad=statuses[0].formation.heading.angle_rad,
         smallest_separation_m=round(closest_m, 3) if closest_m < inf else None,
         lasts_s=round(change.lasts_s, 2),
         refused=refusal_of(slots_enu_m, fleet.separation_m, has_height) or "",
+        instead=_wide_enough(request, slots_enu_m, fleet.separation_m, has_height),
     )
+
+
+def _wide_enough(
+    request: FormationRequest, slots_enu_m: Mapping[int, Vector3], separation_m: float, has_height: bool
+) -> dict[str, float]:
+    """The spacing or scale with which these slots keep `separation_m`; empty where they do, and for slots one by one."""
+    places = {i: to_separation_metric(slot, has_height) for i, slot in slots_enu_m.items()}
+    closest_m, _, _ = closest_approach(places, places)
+    if request.slots_enu_m or not 0.0 < closest_m < separation_m - ROUNDING_M:
+        return {}
+    times = separation_m / closest_m
+    if request.spacing_m is not None:
+        return {"spacing_m": ceil(request.spacing_m * times * 100.0 - ROUNDED) / 100.0}
+    return {"scale": ceil(request.scale * times * 1000.0 - ROUNDED) / 1000.0}
 
 
 def _reference_enu_m(statuses: Sequence[Status]) -> Vector3 | None:

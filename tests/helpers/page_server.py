@@ -402,15 +402,19 @@ class PageServer:
             centre = command.content.get("centre_enu_m") or command.content.get("point_enu_m")
             track = (tuple(centre),) if centre else tuple(map(tuple, command.content["points_enu_m"]))
             return _json(Preview(track_enu_m=track, lasts_s=12.0, warning=WARNING))  # type: ignore[arg-type]
-        spacing_m = command.content["spacing_m"]
-        if spacing_m < 2.5:
-            return _json(Preview(refused=f"SLOT_TOO_CLOSE: slots {spacing_m} m apart, separation_m is 2.5 m"))
-        if spacing_m > 40.0:
-            refused = "vehicles 1, 2, 3, 4: SLOT_OUTSIDE_FENCE: formation: too wide for the fence"
-            return _json(Preview(refused=refused, instead={"spacing_m": 40.0}))
-        shape = SHAPES[command.content["shape"]]
-        slots = shape_slots(shape, self.count, spacing_m, radians(command.content["heading_deg"]))
         leader, *_ = vehicles = self.vehicles(time.time())
+        if given := command.content.get("slots_enu_m"):
+            slots = [tuple(given[str(v.vehicle_id)]) for v in vehicles]
+        else:
+            spacing_m = command.content["spacing_m"]
+            if spacing_m < 2.5:
+                refused = f"SLOT_TOO_CLOSE: slots {spacing_m} m apart, separation_m is 2.5 m"
+                return _json(Preview(refused=refused, instead={"spacing_m": 2.5}))
+            if spacing_m > 40.0:
+                refused = "vehicles 1, 2, 3, 4: SLOT_OUTSIDE_FENCE: formation: too wide for the fence"
+                return _json(Preview(refused=refused, instead={"spacing_m": 40.0}))
+            shape = SHAPES[command.content["shape"]]
+            slots = shape_slots(shape, self.count, spacing_m, radians(command.content["heading_deg"]))
         x, y, z = leader.reference_enu_m or leader.position_enu_m
         paths = tuple(
             PathView(v.vehicle_id, v.slot_position_enu_m or v.position_enu_m, (x + dx, y + dy, z + dz))
@@ -419,7 +423,10 @@ class PageServer:
         would = tuple(
             AnswerView(v.vehicle_id, "accepted", "CHECK_PASSED", "would be accepted", ANSWER_MS) for v in vehicles
         )
-        return _json(Preview(paths=paths, smallest_separation_m=2.81, lasts_s=6.2, answers=would))
+        by_id = {v.vehicle_id: slot for v, slot in zip(vehicles, slots, strict=True)}
+        return _json(
+            Preview(paths=paths, slots_enu_m=by_id, smallest_separation_m=2.81, lasts_s=6.2, answers=would)  # type: ignore[arg-type]
+        )
 
     async def _acknowledge(self, request: web.Request) -> web.Response:
         if self.may_control and request.headers.get("X-Companion-Token") != self.token:

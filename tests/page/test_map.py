@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 from msgspec.structs import replace
 
+from companion.geometry.formations import SHAPES
+from companion.geometry.formations import slots_of as shape_slots
 from page_server import PageServer, until_shown
 
 expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missing").expect
@@ -15,6 +17,8 @@ expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missin
 if TYPE_CHECKING:
     from conftest import OpenPage
     from playwright.sync_api import Page
+
+    from companion.monitor.api import VehicleView
 
 PROBE_PX = 60.0
 DRAWN = """([x, y]) => {
@@ -66,3 +70,134 @@ def test_the_reference_is_a_line_on_the_map_until_another_one_flies(open_page: O
             replace(v, reference="3") if v.reference_enu_m else v for v in change(vs)
         ]
         until_shown(page, lambda: not drawn())
+
+
+def drag(page: Page, start: tuple[float, float], by_px: tuple[float, float]) -> None:
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(start[0] + by_px[0] / 2.0, start[1] + by_px[1] / 2.0)
+    page.mouse.move(start[0] + by_px[0], start[1] + by_px[1])
+    page.mouse.up()
+
+
+def drag_by_finger(page: Page, start: tuple[float, float], by_px: tuple[float, float]) -> None:
+    session = page.context.new_cdp_session(page)
+
+    def touch(kind: str, *points: tuple[float, float]) -> None:
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": x, "y": y} for x, y in points]})
+
+    touch("touchStart", start)
+    touch("touchMove", (start[0] + by_px[0] / 2.0, start[1] + by_px[1] / 2.0))
+    touch("touchMove", (start[0] + by_px[0], start[1] + by_px[1]))
+    touch("touchEnd")
+
+
+def middle(page: Page) -> tuple[float, float]:
+    box = page.locator("#scene").bounding_box()
+    assert box
+    return box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0
+
+
+def away(vehicles: list[VehicleView]) -> list[VehicleView]:
+    """The whole fleet 60 m farther east: a map that follows shows it there."""
+    places = [(v.position_enu_m, v.slot_position_enu_m) for v in vehicles]
+    moved = [[(x + 60.0, y, z) for x, y, z in both if both] for both in places]  # type: ignore[misc]
+    return [replace(v, position_enu_m=a, slot_position_enu_m=b) for v, (a, b) in zip(vehicles, moved, strict=True)]
+
+
+def test_a_slot_is_dragged_and_the_vehicles_are_asked_again(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        stand_still(server)
+        page = open_page(server.control_url)
+        page.locator("summary", has_text="Formation").click()
+        page.locator("[data-action=preview-formation]").click()
+        send, previewed = page.locator("[data-action=send-formation]"), page.locator(".previewed")
+        expect(send).to_have_count(1)
+        x_m, y_m, _ = shape_slots(SHAPES["line"], 4, 3.0, 0.0)[1]
+        start, end = window_at(page, x_m, y_m), window_at(page, x_m + 2.0, y_m + 1.0)
+        drag(page, start, (end[0] - start[0], end[1] - start[1]))
+        expect(page.get_by_label("Slots")).to_have_value("a slot for each vehicle")
+        expect(send).to_have_count(1)
+        east, north = (page.get_by_label(f"Vehicle 2, {axis}, metres") for axis in ("east", "north"))
+        assert float(east.input_value()) == pytest.approx(x_m + 2.0, abs=0.15)
+        assert float(north.input_value()) == pytest.approx(y_m + 1.0, abs=0.15)
+
+        here, still = place_at(page, *middle(page)), server.change
+        server.change = lambda vs: away(still(vs))
+        page.wait_for_timeout(400)
+        assert place_at(page, *middle(page)) == here  # what is worked on stays where it is
+        page.keyboard.press("Control+z")
+        expect(page.get_by_label("Slots")).to_have_value("line")
+        expect(send).to_have_count(1)
+        until_shown(page, lambda: place_at(page, *middle(page))[0] > 30.0)
+        expect(page.locator("#map-note button")).to_have_count(0)
+        send.click()
+        until_shown(page, lambda: bool(server.commands))
+        assert server.commands[0].content == {"shape": "line", "spacing_m": 3, "heading_deg": 0}
+        expect(previewed).to_have_count(0)
+
+
+def test_a_preview_vanishes_with_what_it_was_of(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        stand_still(server)
+        page = open_page(server.control_url)
+        page.locator("summary", has_text="Formation").click()
+        page.locator("[data-action=preview-formation]").click()
+        expect(page.locator("[data-action=send-formation]")).to_have_count(1)
+        still = server.change
+        server.change = lambda vs: [replace(v, formation="changing to 3") for v in still(vs)]
+        expect(page.locator(".previewed")).to_have_count(0)
+        expect(page.locator("#hint")).to_contain_text("flies another formation or reference now")
+
+
+def test_points_are_placed_dragged_and_taken_back_by_touch(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        stand_still(server)
+        page = open_page(server.control_url, width=390, height=844, has_touch=True)
+        page.locator("#tabs").get_by_role("button", name="Control").click()
+        page.locator("summary", has_text="Reference").click()
+        page.get_by_label("Kind").select_option("waypoints")
+        page.locator("[data-action=place]").click()
+        x, y = middle(page)
+        for dx, dy in ((-90.0, 60.0), (60.0, 60.0), (60.0, -20.0)):
+            page.touchscreen.tap(x + dx, y + dy)
+        east = [page.get_by_label(f"Point {i}, E, metres") for i in (1, 2, 3)]
+        expect(page.locator(".points input")).to_have_count(9)
+        scale = (float(east[1].input_value()) - float(east[0].input_value())) / 150.0
+        page.locator("[data-action=undo]").click()
+        expect(page.locator(".points input")).to_have_count(6)
+        before = float(east[1].input_value())
+        page.locator("[data-action=preview-reference]").click()
+        send = page.locator("[data-action=send-reference]")
+        expect(send).to_have_count(1)
+        drag_by_finger(page, (x + 60.0, y + 60.0), (30.0, 0.0))
+        until_shown(page, lambda: float(east[1].input_value()) == pytest.approx(before + 30.0 * scale, abs=0.3))
+        expect(send).to_have_count(1)
+        dragged = float(east[1].input_value())
+        send.click()
+        until_shown(page, lambda: bool(server.commands))
+        points = server.commands[0].content["points_enu_m"]
+        assert [len(points), points[1][0]] == [2, dragged]
+        expect(page.locator(".points input")).to_have_count(0)
+        expect(page.locator("#map-note button")).to_have_count(0)
+
+
+def test_the_fleet_goes_to_a_place_that_is_clicked(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        stand_still(server)
+        page = open_page(server.control_url)
+        page.locator("[data-action=go]").click()
+        expect(page.locator("#map-note")).to_contain_text("Click where the fleet is to go.")
+        x, y = window_at(page, 2.0, -1.0)
+        page.mouse.click(x, y)
+        expect(page.locator("[data-action=send-reference]")).to_have_count(1)
+        assert server.commands == []
+        page.locator("[data-action=send-reference]").click()
+        until_shown(page, lambda: bool(server.commands))
+        content = server.commands[0].content
+        assert content["kind"] == "waypoints"
+        start, end = content["points_enu_m"]
+        assert start == [0, 0, 5]
+        assert end == pytest.approx([2.0, -1.0, 5.0], abs=0.15)
+        server.change = lambda vs: [replace(v, phase="hold") for v in vs]
+        expect(page.locator("[data-action=go]")).to_be_disabled()

@@ -9,6 +9,7 @@ import pytest
 from common import with_fields
 from companion.monitor.api import CommandRequest, Preview
 from companion.monitor.command_requests import fleet_action, preview_of
+from companion.types.formation import Heading
 from companion.types.status import Status
 from tests.bench.monitor_load import steady_fleet
 
@@ -39,6 +40,21 @@ def test_slots_that_are_too_close_are_refused_and_shown() -> None:
     found = preview("formation", {"shape": "line", "spacing_m": 0.2})
     assert "expected at least separation_m" in found.refused
     assert len(found.paths) == 4
+    assert preview("formation", {"shape": "line"} | found.instead).refused == ""
+    assert preview("formation", {"shape": "line", "spacing_m": found.instead["spacing_m"] - 0.02}).refused
+    scaled = preview("formation", {"scale": 0.1, "heading_deg": 30.0})
+    assert preview("formation", {"heading_deg": 30.0} | scaled.instead).refused == ""
+
+
+def test_slots_of_a_preview_are_a_formation_one_by_one() -> None:
+    turned = {i: with_fields(status, heading=Heading(0.5)) for i, status in STATUSES.items()}
+    found = preview("formation", {"shape": "line", "spacing_m": 5.0, "heading_deg": 20.0}, turned)
+    same = preview("formation", {"slots_enu_m": {str(i): slot for i, slot in found.slots_enu_m.items()}}, turned)
+    assert (found.heading_rad, same.slots_enu_m) == (0.5, found.slots_enu_m)
+    for path, other in zip(found.paths, same.paths, strict=True):
+        assert path.to_enu_m == pytest.approx(other.to_enu_m, abs=2e-3)
+    close = {str(i): (0.1 * i, 0.0, 0.0) for i in LOAD.vehicle_ids}
+    assert preview("formation", {"slots_enu_m": close}).instead == {}
 
 
 def test_a_formation_of_those_that_report_has_a_slot_left_over() -> None:

@@ -13,6 +13,7 @@ export class Commanding {
     this.sent = []; // newest first: {number, title, result: CommandResult or null, error}
     this.toSelected = false; // else to all vehicles
     this.previewing = false;
+    this._previews = 0; // how many were asked for or discarded: an answer to an older one is not shown
     this.previewError = "";
     this.allowed = hasToken();
     this.abortError = ""; // why the last ABORT was not sent
@@ -62,27 +63,35 @@ export class Commanding {
 
   /** Shows what a formation or reference would do. Nothing is sent to a vehicle. */
   async preview(name, content) {
+    const store = this._store;
+    const before = store.preview?.name === name ? { ...store.preview, pending: true } : null; // stays until the answer
     this.discard();
+    const number = this._previews;
+    store.preview = before;
     this.previewing = true;
     this._onChange();
+    const basis = store.flown;
+    let shown = null;
     try {
-      const result = await preview({ fleet: this._store.fleetName, name, vehicle_ids: [], content });
-      this._store.preview = { ...result, name, content };
+      shown = { ...(await preview({ fleet: store.fleetName, name, vehicle_ids: [], content })), name, content, basis };
     } catch (error) {
-      this.previewError = error.message;
+      if (number === this._previews) this.previewError = error.message;
     }
+    if (number !== this._previews) return;
+    store.preview = shown;
     this.previewing = false;
     this._onChange();
     this._onPreviewed();
   }
 
-  async sendPreviewed() {
+  sendPreviewed() {
     const { name, content } = this._store.preview;
-    this.discard();
-    await this.send(name, [], content);
+    return this.send(name, [], content);
   }
 
   discard() {
+    this._previews += 1;
+    this.previewing = false;
     this._store.preview = null;
     this.previewError = "";
     this._onChange();

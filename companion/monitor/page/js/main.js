@@ -7,6 +7,7 @@ import { LiveConnection } from "./live.js";
 import { FleetMap } from "./map/map.js";
 import { Metrics } from "./metrics.js";
 import { PANELS } from "./panels.js";
+import { Planning } from "./planning.js";
 import { AlarmSound } from "./sound.js";
 import { Store } from "./store.js";
 import { Theme } from "./theme.js";
@@ -15,7 +16,7 @@ import { bar } from "./views/bar.js";
 import { figures } from "./views/figures.js";
 import { help } from "./views/help.js";
 import { render } from "./views/lit.js";
-import { legend, mapTools } from "./views/map_tools.js";
+import { legend, mapNote, mapTools } from "./views/map_tools.js";
 import { Plots } from "./views/plots.js";
 import { replay } from "./views/replay.js";
 import { watchSight } from "./views/sight.js";
@@ -25,14 +26,13 @@ const ABORT_HOLD_S = 0.5;
 const HINT_MS = 4000;
 const TICK_MS = 200; // ages count up also without snapshots
 const PANELS_MS = 240; // between two updates of lists and plots by snapshots: people read no faster
-const DEFAULT_ALTITUDE_M = 4;
 
 const at = (id) => document.getElementById(id);
 const store = new Store();
 const sound = new AlarmSound();
 const metrics = new Metrics();
 const abort = { keys: false };
-const page = { tab: "vehicles", filter: "all", hint: "", speed: 1, altitudeM: null };
+const page = { tab: "vehicles", filter: "all", hint: "", speed: 1 };
 let frame = null; // the requested animation frame
 let panelsFrame = null; // likewise, of the panels
 let panelsMs = -Infinity; // when they were drawn
@@ -40,10 +40,10 @@ let arrivedMs = null; // of the oldest snapshot that is not painted yet
 
 const theme = new Theme(schedule);
 const commanding = new Commanding(store, schedule, showPreviewed);
-const map = new FleetMap(at("scene"), at("map-cursor"), store, {
+const planning = new Planning(store, commanding, { changed: schedule, hint: (text) => act.hint(text), preview: previewForm });
+const map = new FleetMap(at("scene"), at("map-cursor"), store, planning, {
   changed: schedule,
   selected: (id, several) => act.select(id, several),
-  placed: (point) => act.place(point),
 });
 const plots = new Plots(at("plots"), store);
 const watchRows = watchSight(at("vehicles"), schedule);
@@ -55,6 +55,7 @@ const act = {
     schedule();
   },
   chooseFleet(name) {
+    planning.leave();
     store.chooseFleet(name);
     map.fit();
   },
@@ -90,34 +91,6 @@ const act = {
     act.tab("control");
     commanding.abort();
   },
-  altitude: () => page.altitudeM ?? presentAltitude(),
-  setAltitude(altitudeM) {
-    page.altitudeM = altitudeM;
-    if (store.drawing) store.drawing = { ...store.drawing, altitudeM };
-    schedule();
-  },
-  draw(most) {
-    if (store.drawing?.active) store.drawing.active = false;
-    else store.drawing = { points: [], ...store.drawing, altitudeM: act.altitude(), most, active: true };
-    schedule();
-  },
-  place(point) {
-    const { most, points } = store.drawing;
-    const rounded = point.map((value) => Math.round(value * 100) / 100);
-    store.drawing.points = most === 1 ? [rounded] : [...points, rounded].slice(0, most);
-    if (most === 1) store.drawing.active = false;
-    commanding.discard();
-  },
-  movePoint(index, axis, value) {
-    if (!Number.isFinite(value)) return;
-    const moved = (point) => point.map((old, j) => (j === axis ? value : old));
-    store.drawing.points = store.drawing.points.map((point, i) => (i === index ? moved(point) : point));
-    commanding.discard();
-  },
-  stopDrawing() {
-    store.drawing = null;
-    schedule();
-  },
   replay(message) {
     if (message.speed) page.speed = message.speed;
     live.send(message);
@@ -125,14 +98,10 @@ const act = {
   lastSpeed: () => page.speed,
 };
 
-function presentAltitude() {
-  const leader = store.vehicles.find((vehicle) => vehicle.reference_enu_m);
-  return leader ? Math.round(leader.reference_enu_m[2] * 10) / 10 : DEFAULT_ALTITUDE_M;
-}
-
 const live = new LiveConnection(
   (snapshot, nowMs) => {
     store.accept(snapshot, nowMs);
+    planning.check();
     sound.update(snapshot.alarms, nowMs);
     if (snapshot.replay?.speed) page.speed = snapshot.replay.speed;
     arrivedMs ??= nowMs;
@@ -167,6 +136,15 @@ function showPreviewed() {
   document.querySelector(".previewed")?.scrollIntoView({ block: "nearest" });
 }
 
+/** What the map has changed goes into its form, and with the form to the vehicles. */
+function previewForm(name) {
+  act.tab("control");
+  drawPanels();
+  const form = document.querySelector(`form[data-form="${name}"]`);
+  form.closest("details").open = true;
+  form.requestSubmit();
+}
+
 /** In a frame after that of the map, which does not wait for them. */
 function schedulePanels() {
   panelsFrame ??= requestAnimationFrame(() => {
@@ -180,7 +158,7 @@ function showTab() {
 }
 
 function contextAt(nowMs) {
-  return { store, nowMs, theme, sound, abort, act, commanding, filter: page.filter };
+  return { store, nowMs, theme, sound, abort, act, commanding, planning, filter: page.filter };
 }
 
 function drawMap() {
@@ -212,16 +190,11 @@ function drawPanels() {
   render(tabs({ panels, store, current: page.tab, act }), at("tabs"));
   for (const { id, view } of panels) if (view) render(view(context), at(id));
   watchRows();
-  render(mapTools(map), at("map-tools"));
+  render(mapTools({ map, planning, store, commanding }), at("map-tools"));
   render(help({ controls, close: () => at("help").close() }), at("help"));
-  render(drawingNote(), at("map-note"));
+  render(mapNote({ store, planning }), at("map-note"));
   plots.update(theme.colours, document.documentElement.dataset.theme);
   if (store.arrivedMs !== null) metrics.drawn(store.arrivedMs);
-}
-
-function drawingNote() {
-  if (!store.drawing?.active) return "";
-  return store.drawing.most === 1 ? "Click a point on the map." : "Click the points on the map, in order.";
 }
 
 /** Once a second without snapshots as well: ages, the banner, the sound of a lost server. */
@@ -237,6 +210,12 @@ window.addEventListener("hashchange", () => {
   commanding.checkControl();
 });
 watchHolds(document);
+document.addEventListener("keydown", (event) => {
+  const undoes = event.key.toLowerCase() === "z" && (event.ctrlKey || event.metaKey) && !event.shiftKey;
+  if (!undoes || !planning.canUndo || event.target.matches("input, select")) return;
+  event.preventDefault();
+  planning.undo();
+});
 watchAbortKeys(
   ABORT_HOLD_S,
   (held) => {

@@ -25,7 +25,7 @@ export class Store {
     this.disarmed = new Map(); // of each that was armed and did not take off, when it was disarmed
     this.selected = new Set();
     this.preview = null; // of what has not been sent
-    this.drawing = null; // {altitudeM, points, most} while points are placed on the map
+    this.drawing = null; // {points, altitudeM, most, active, goes} while points are placed on the map; `active`: a click places one
     this.file = null; // FleetFileView
     this._fleetName = null;
     this._fileNextMs = 0; // when the file is asked for again
@@ -45,6 +45,11 @@ export class Store {
 
   get vehicles() {
     return this.snapshot?.vehicles.filter((vehicle) => vehicle.fleet === this.fleetName) ?? [];
+  }
+
+  /** Formation and reference of each vehicle: a preview is of a change of these. */
+  get flown() {
+    return this.vehicles.map((vehicle) => `${vehicle.vehicle_id} ${vehicle.formation} ${vehicle.reference.replace(/, target.*/, "")}`).join();
   }
 
   get alarms() {

@@ -7,11 +7,21 @@ const KEY_TURN = Math.PI / 24;
 /**
  * One finger or the left button moves; Shift, Ctrl or the right button rotates and tilts; two fingers zoom, rotate and
  * move. `on.moved()` after the camera has changed, `on.clicked(x, y, event)`, `on.key(key)` for all other keys,
+ * `on.grabbed(x, y, event)` gives what a pointer can drag there, or null: then `on.dragged(it, x, y)` and `on.dropped(it)`.
  * `on.hovered([x, y])` with the pointer over the map, and with null when it leaves.
  */
 export function listen(canvas, camera, on) {
   const pointers = new Map();
   let travelled = 0;
+  let held = null; // what is dragged
+  const within = (event) => {
+    const box = canvas.getBoundingClientRect();
+    return [event.clientX - box.left, event.clientY - box.top];
+  };
+  const drop = () => {
+    if (held) on.dropped(held);
+    held = null;
+  };
 
   const move = (event) => {
     const before = pointers.get(event.pointerId);
@@ -19,6 +29,11 @@ export function listen(canvas, camera, on) {
     const after = [event.clientX, event.clientY];
     const [dx, dy] = [after[0] - before[0], after[1] - before[1]];
     travelled += Math.hypot(dx, dy);
+    if (held) {
+      pointers.set(event.pointerId, after);
+      if (travelled > CLICK_PX) on.dragged(held, ...within(event));
+      return;
+    }
     if (pointers.size === 2) pinch(canvas, camera, pointers, event.pointerId, after);
     else if (travelled > CLICK_PX && turns(event)) camera.rotate(dx * 0.008, -dy * 0.008);
     else if (travelled > CLICK_PX) camera.panPixels(dx, dy);
@@ -31,22 +46,27 @@ export function listen(canvas, camera, on) {
 
   const end = (event) => {
     if (!pointers.delete(event.pointerId)) return;
+    if (held) {
+      drop();
+      return;
+    }
     if (pointers.size) return;
     canvas.classList.remove("dragging");
     if (event.type === "pointerup" && event.button === 0 && travelled <= CLICK_PX) {
-      const box = canvas.getBoundingClientRect();
-      on.clicked(event.clientX - box.left, event.clientY - box.top, event);
+      on.clicked(...within(event), event);
     }
   };
 
   canvas.addEventListener("pointerdown", (event) => {
-    if (pointers.size === 0) travelled = 0;
+    if (pointers.size === 0) {
+      travelled = 0;
+      held = event.button === 0 && !turns(event) ? on.grabbed(...within(event), event) : null;
+    } else drop(); // a second finger: from now on they move the map
     pointers.set(event.pointerId, [event.clientX, event.clientY]);
     canvas.setPointerCapture(event.pointerId);
   });
   canvas.addEventListener("pointermove", (event) => {
-    const box = canvas.getBoundingClientRect();
-    on.hovered([event.clientX - box.left, event.clientY - box.top]);
+    on.hovered(within(event));
     move(event);
   });
   canvas.addEventListener("pointerleave", () => on.hovered(null));
@@ -57,8 +77,7 @@ export function listen(canvas, camera, on) {
     "wheel",
     (event) => {
       event.preventDefault();
-      const box = canvas.getBoundingClientRect();
-      camera.zoom(Math.exp(-event.deltaY * 0.0015), event.clientX - box.left, event.clientY - box.top);
+      camera.zoom(Math.exp(-event.deltaY * 0.0015), ...within(event));
       on.moved();
     },
     { passive: false },

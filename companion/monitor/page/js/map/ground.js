@@ -1,6 +1,7 @@
 /** What does not move: grid, fence, obstacles, homes; and the scale bar and north. */
 
 const GRID_PX = 70; // at least, between two lines
+const LOW_PX = 320; // a map on a phone
 const LARGEST_Z = 500; // an obstacle without an upper end is drawn up to the fence
 
 export function drawGrid(pen) {
@@ -78,7 +79,8 @@ export function drawScaleBar(pen) {
 
 export function drawNorth(pen) {
   const { camera } = pen;
-  const [x, y] = [camera.width - 30, camera.height - 34];
+  const beside = camera.height < LOW_PX; // the buttons, which fill its right edge
+  const [x, y] = [camera.width - (beside ? 86 : 30), camera.height - 34];
   const [dx, dy] = [-Math.sin(camera.azimuth), -Math.cos(camera.azimuth) * Math.max(0.25, Math.cos(camera.tilt))];
   const tip = [x + 16 * dx, y + 16 * dy];
   const side = [-dy * 5, dx * 5];

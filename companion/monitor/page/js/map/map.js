@@ -12,15 +12,17 @@ import { metresPerDegree, Tiles } from "./tiles.js";
 import { drawSafetyDistance, drawSmallestSeparation, drawTrail, drawVehicle, trailBands } from "./vehicles.js";
 
 const TOUCH_PX = 26; // how near to a vehicle a click selects it
+const HANDLE_PX = 14; // likewise, of what the mouse drags
 const MARGIN_PX = 104;
 const LEAST_MARGIN_PX = 62; // the buttons are that wide
 
 export class FleetMap {
-  /** `on.changed()` asks for a frame; `on.selected(id, several)`; `on.placed(point)` while points are drawn. */
-  constructor(canvas, cursor, store, on) {
+  /** `on.changed()` asks for a frame; `on.selected(id, several)`. */
+  constructor(canvas, cursor, store, planning, on) {
     this._canvas = canvas;
     this._cursor = cursor;
     this._store = store;
+    this._planning = planning;
     this._on = on;
     this._context = canvas.getContext("2d", { alpha: false });
     this.camera = new Camera();
@@ -38,8 +40,11 @@ export class FleetMap {
         on.changed();
       },
       clicked: (x, y, event) => this._clicked(x, y, event),
+      grabbed: (x, y, event) => this._handleAt(x, y, event.pointerType === "mouse" ? HANDLE_PX : TOUCH_PX),
+      dragged: (handle, x, y) => planning.drag(handle, this.camera.unproject(x, y, handle.at[2])),
+      dropped: (handle) => planning.drop(handle),
       key: (key) => this._key(key),
-      hovered: (at) => (this._cursor.textContent = at ? this._groundAt(...at) : ""),
+      hovered: (at) => this._hovered(at),
     });
   }
 
@@ -74,7 +79,7 @@ export class FleetMap {
     const { camera, _store: store } = this;
     const shown = this._shown();
     const placed = this._placed();
-    if (this.follows && placed.length && !camera.shows(placed, Math.min(LEAST_MARGIN_PX, camera.width / 8, camera.height / 8))) this._fitTo(placed, MARGIN_PX);
+    if (this._refits && placed.length && !camera.shows(placed, Math.min(LEAST_MARGIN_PX, camera.width / 8, camera.height / 8))) this._fitTo(placed, MARGIN_PX);
     const pen = new Pen(this._context, camera, colours);
     const ratio = devicePixelRatio;
     this._context.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -133,7 +138,8 @@ export class FleetMap {
     const slots = vehicles.map((vehicle) => vehicle.slot_position_enu_m).filter(Boolean);
     const planned = this._store.preview ? this._store.preview.paths.map((path) => path.to_enu_m) : [];
     const ground = this.camera.is3d ? points.map(([x, y]) => [x, y, 0]) : [];
-    return [...points, ...slots, ...planned, ...(this._store.preview?.track_enu_m ?? []), ...ground];
+    const placing = this._store.drawing?.points ?? [];
+    return [...points, ...slots, ...planned, ...placing, ...(this._store.preview?.track_enu_m ?? []), ...ground];
   }
 
   _fitTo(points, marginPx) {
@@ -149,12 +155,31 @@ export class FleetMap {
     this._canvas.height = Math.round(clientHeight * devicePixelRatio);
     this.camera.width = clientWidth;
     this.camera.height = clientHeight;
-    if (this.follows) this._fitTo(this._placed(), MARGIN_PX);
+    if (this._refits) this._fitTo(this._placed(), MARGIN_PX);
+  }
+
+  /** What is placed on the map, and dragged there, must not move away below the pointer. */
+  get _refits() {
+    return this.follows && !this._planning.isActive;
+  }
+
+  _handleAt(x, y, reachPx) {
+    const distance = ({ at }) => {
+      const [hx, hy] = this.camera.project(at);
+      return Math.hypot(hx - x, hy - y);
+    };
+    const near = this._planning.handles().filter((handle) => distance(handle) <= reachPx);
+    return near.sort((a, b) => distance(a) - distance(b))[0] ?? null;
+  }
+
+  _hovered(at) {
+    this._cursor.textContent = at ? this._groundAt(...at) : "";
+    this._canvas.classList.toggle("on-handle", Boolean(at && this._handleAt(...at, HANDLE_PX)));
   }
 
   _clicked(x, y, event) {
     if (this._store.drawing?.active) {
-      this._on.placed(this.camera.unproject(x, y, this._store.drawing.altitudeM));
+      this._planning.clicked(this.camera.unproject(x, y, this._store.drawing.altitudeM));
       return;
     }
     let nearest = null;

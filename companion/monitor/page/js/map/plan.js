@@ -10,9 +10,11 @@ export function drawReference(pen, track, leaders) {
   }
 }
 
+/** Paler while it is dragged, and until the vehicles have answered. */
 export function drawPreview(pen, preview) {
+  const alpha = preview.pending ? 0.5 : 1;
   for (const path of preview.paths) {
-    pen.line([path.from_enu_m, path.to_enu_m], { colour: "accent", width: 2, dash: [8, 5] });
+    pen.line([path.from_enu_m, path.to_enu_m], { colour: "accent", width: 2, dash: [8, 5], alpha });
     const [x, y] = pen.camera.project(path.to_enu_m);
     pen.pixels([[-11, -11], [11, -11], [11, 11], [-11, 11], [-11, -11]].map(([dx, dy]) => [x + dx, y + dy]), {
       colour: "accent",
@@ -20,7 +22,7 @@ export function drawPreview(pen, preview) {
     });
     pen.text(String(path.vehicle_id), x, y, { colour: "accent", size: 12, weight: 700 });
   }
-  if (preview.track_enu_m.length > 1) pen.line(preview.track_enu_m, { colour: "accent", width: 3, dash: [8, 5] });
+  if (preview.track_enu_m.length > 1) pen.line(preview.track_enu_m, { colour: "accent", width: 3, dash: [8, 5], alpha });
   if (preview.track_enu_m.length) drawPoint(pen, preview.track_enu_m[0], "start");
 }
 

@@ -6,7 +6,7 @@ import { answers } from "./answers.js";
 import { formationForm } from "./formation_form.js";
 import { referenceForm } from "./reference_form.js";
 
-export function control({ store, commanding, nowMs, act }) {
+export function control({ store, commanding, planning, nowMs, act }) {
   if (!commanding.allowed) {
     const why = commanding.hasLostControl ? "The token of this page is not the server's" : "This page was opened without the token";
     return html`<div class="heading"><h2>Control</h2></div><p class="empty">${why}: open the URL that
@@ -24,8 +24,8 @@ export function control({ store, commanding, nowMs, act }) {
     ${answers(commanding.sent)}
     <fieldset ?disabled=${lost}>
       <legend class="unseen">Changes of the formation</legend>
-      ${formationForm({ store, commanding })}
-      ${referenceForm({ store, commanding, act })}
+      ${formationForm({ store, commanding, planning })}
+      ${referenceForm({ store, commanding, planning })}
     </fieldset>`;
 }
 

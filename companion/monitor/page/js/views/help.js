@@ -9,6 +9,7 @@ const MAP_KEYS = [
   ["F", "show the whole fleet and follow it"],
   ["3", "from above or 3-D"],
   ["N", "north up"],
+  ["Ctrl + Z", "take back the last point, or the last drag of a point or slot"],
 ];
 
 export function help({ controls, close }) {

@@ -5,16 +5,17 @@ import { html, nothing } from "./lit.js";
 
 const UNITS = [["_m_s2", " m/s²"], ["_m_s", " m/s"], ["_m", " m"], ["_s", " s"]]; // by the end of a key
 
-export function previewed({ store, commanding }, name) {
+export function previewed({ store, commanding, planning }, name) {
   if (commanding.previewError) return html`<p class="previewed critical">${commanding.previewError}</p>`;
   const preview = store.preview;
   if (!preview || preview.name !== name) return nothing;
+  if (preview.pending) return html`<div class="previewed"><p class="quiet">${commanding.previewing ? "Asking the vehicles …" : "Let go to ask the vehicles."}</p></div>`;
   return html`<div class="previewed">
     ${preview.refused ? html`<p class="critical">Refused: ${preview.refused}</p>` : html`<p>${summary(preview)}</p>`}
     ${preview.warning ? html`<p class="warning">${preview.warning}</p>` : nothing}
     <div class="row">${preview.refused ? instead(preview, commanding) : html`<button data-action="send-${name}" class="primary"
-        @click=${() => commanding.sendPreviewed()}>Send</button>`}
-      <button @click=${() => commanding.discard()}>Discard</button></div></div>`;
+        @click=${() => planning.send()}>Send</button>`}
+      <button @click=${() => (name === "formation" ? planning.cancel() : commanding.discard())}>Discard</button></div></div>`;
 }
 
 /** The accepted values go into the form, and are previewed. */
@@ -23,7 +24,11 @@ function instead(preview, commanding) {
   if (!values.length) return nothing;
   const use = (event) => {
     const { elements } = event.target.closest("details").querySelector("form");
-    for (const [key, value] of values) if (elements[key]) elements[key].value = String(value);
+    for (const [key, value] of values) {
+      if (!elements[key]) continue;
+      elements[key].value = String(value);
+      elements[key].dispatchEvent(new Event("change", { bubbles: true }));
+    }
     commanding.preview(preview.name, { ...preview.content, ...preview.instead });
   };
   return html`<button data-action="use-instead" class="primary" @click=${use}>Use ${values.map(withUnit).join(" and ")}</button>`;

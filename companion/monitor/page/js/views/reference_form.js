@@ -7,14 +7,20 @@ import { previewed } from "./previewed.js";
 // What the server knows of each kind: its title, the key and the name of its position, how many of them, and its inputs.
 const KINDS = JSON.parse(document.getElementById("reference-forms").textContent);
 
+export const WAYPOINTS = KINDS.find(({ kind }) => kind === "waypoints");
+
 let chosen = KINDS[0];
 
-export function referenceForm({ store, commanding, act }) {
+/** The form has this kind from now on. */
+export function kindOf(kind) {
+  chosen = kind;
+}
+
+export function referenceForm({ store, commanding, planning }) {
   const points = store.drawing?.points ?? [];
   const choose = (event) => {
     chosen = KINDS.find(({ kind }) => kind === event.target.value);
-    act.stopDrawing();
-    commanding.discard();
+    planning.cancel();
   };
   const submit = (event) => {
     event.preventDefault();
@@ -22,16 +28,16 @@ export function referenceForm({ store, commanding, act }) {
   };
   const edited = () => store.preview?.name === "reference" && commanding.discard();
   return html`<details class="form"><summary>Reference</summary>
-    <form @submit=${submit} @input=${edited}>
+    <form data-form="reference" @submit=${submit} @input=${edited}>
       <label>Kind <select name="kind" @change=${choose}>${KINDS.map(({ kind, title }) => html`
         <option value=${kind} ?selected=${kind === chosen.kind}>${title}</option>`)}</select></label>
       <label>Altitude <span class="unit"><input name="altitude_m" type="number" step="any" min="-1000" max="1000" required
-        .value=${String(store.drawing?.altitudeM ?? act.altitude())} @change=${(event) => act.setAltitude(Number(event.target.value))}> m</span></label>
+        .value=${String(planning.altitudeM)} @change=${(event) => planning.setAltitude(Number(event.target.value))}> m</span></label>
       ${chosen.inputs.map(inputOf)}
-      ${placing(store, points, act)}
+      ${placing(store, points, planning)}
       <button data-action="preview-reference" ?disabled=${commanding.previewing || !points.length}>Preview</button>
     </form>
-    ${previewed({ store, commanding }, "reference")}</details>`;
+    ${previewed({ store, commanding, planning }, "reference")}</details>`;
 }
 
 function inputOf({ name, title, type, value, unit, min, max, pattern }) {
@@ -41,15 +47,15 @@ function inputOf({ name, title, type, value, unit, min, max, pattern }) {
     required min=${min} max=${max} value=${value}> ${unit}</span></label>`;
 }
 
-function placing(store, points, act) {
+function placing(store, points, planning) {
   const what = chosen.most > 1 ? "points" : chosen.place;
   return html`<div class="row">
       <button type="button" data-action="place" aria-pressed=${Boolean(store.drawing?.active)}
-        @click=${() => act.draw(chosen.most)}>Place ${what} on the map</button>
-      ${points.length ? html`<button type="button" @click=${() => act.stopDrawing()}>Clear</button>` : nothing}</div>
+        @click=${() => planning.place(chosen.most)}>Place ${what} on the map</button>
+      ${points.length ? html`<button type="button" @click=${() => planning.cancel()}>Clear</button>` : nothing}</div>
     <ol class="points">${points.map((point, i) => html`<li>${["E", "N", "U"].map((axis, j) => html`
       <label>${axis} <input type="number" step="any" aria-label="Point ${i + 1}, ${axis}, metres" .value=${point[j].toFixed(2)}
-        @change=${(event) => act.movePoint(i, j, Number(event.target.value))}></label>`)}</li>`)}</ol>
+        @change=${(event) => planning.setCoordinate(i, j, Number(event.target.value))}></label>`)}</li>`)}</ol>
     ${points.length ? html`<p class="unseen" aria-live="polite">${points.length} points, the last at ${vector(points.at(-1), 1)} metres</p>` : nothing}`;
 }
 
