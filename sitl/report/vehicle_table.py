@@ -1,6 +1,7 @@
 """The vehicles of a flight on a console of 80 columns: a row each, and below them what is remarkable. In a file, a line of all.
 
-A flag that is normal in a vehicle's phase is not remarkable. Status, recordings and events have every flag.
+A flag that is normal in a vehicle's phase is not remarkable. What is says what the agent does about it. Status, recordings and
+events have every flag.
 """
 
 from __future__ import annotations
@@ -8,14 +9,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence, Set
 from math import inf
+from textwrap import wrap
 from typing import NamedTuple
 
 from companion.ground.answers import id_list
 from companion.ground.fleet_state import ReportedVehicle
+from companion.tools.explanations import action_words
 from companion.types.flight import FLAG_TEXTS, HELD, STREAMING, WITHOUT_LEADER, FlightPhase
 from companion.types.flight import HealthFlag as F
 
 HEAD = "  vehicle  role      phase      altitude  error to slot  PrC  data"
+COLUMNS = 80
 LONGEST_AGE_S = 1e5  # above: no data has come yet
 UNTIL_DATA = {
     *(F.FRAME_UNKNOWN, F.POSITION_STALE, F.ATTITUDE_STALE, F.MODE_STALE, F.ARMED_STALE, F.LANDED_STALE),
@@ -45,7 +49,7 @@ class VehicleTable:
     def lines(self, vehicles: Sequence[ReportedVehicle], now_s: float, room: int | None = None) -> list[str]:
         """At most `room` lines; vehicles with flags, and silent ones, are the last to be left out."""
         flags = self._flags(vehicles, now_s)
-        remarks = _remarks(flags)
+        remarks = [line for one in _remarks(vehicles, flags) for line in wrap(one, COLUMNS, subsequent_indent="    ")]
         shown = list(vehicles)
         if room is not None and len(vehicles) > (rows := max(0, room - len(remarks) - 2)):
             first = sorted(vehicles, key=lambda vehicle: not (vehicle.silent or flags[vehicle.vehicle_id]))[:rows]
@@ -55,7 +59,7 @@ class VehicleTable:
 
     def brief(self, vehicles: Sequence[ReportedVehicle], now_s: float) -> list[str]:
         """What they do in a few words, then a line for each remarkable flag: for a file, where nothing is shown in place."""
-        return [_in_words(vehicles), *_remarks(self._flags(vehicles, now_s))]
+        return [_in_words(vehicles), *_remarks(vehicles, self._flags(vehicles, now_s))]
 
     def _flags(self, vehicles: Sequence[ReportedVehicle], now_s: float) -> dict[int, set[F]]:
         return {vehicle.vehicle_id: self._remarkable(vehicle, now_s) for vehicle in vehicles}
@@ -73,12 +77,15 @@ class VehicleTable:
         return found
 
 
-def _remarks(flags: Mapping[int, Set[F]]) -> list[str]:
-    return [
-        f"  ! {flag}, {id_list(ids)}: {FLAG_TEXTS[flag]}"
-        for flag in sorted(set().union(*flags.values()))
-        if (ids := [i for i, of_vehicle in flags.items() if flag in of_vehicle])
-    ]
+def _remarks(vehicles: Sequence[ReportedVehicle], flags: Mapping[int, Set[F]]) -> list[str]:
+    """A line for each flag; where the law flies one of its vehicles, with what the agent does."""
+    flown = {vehicle.vehicle_id for vehicle in vehicles if vehicle.status.phase in STREAMING}
+    lines = []
+    for flag in sorted(set().union(*flags.values())):
+        ids = [i for i, of_vehicle in flags.items() if flag in of_vehicle]
+        action = "" if flown.isdisjoint(ids) else f"; in formation it {action_words(flag, None)}"
+        lines.append(f"  ! {flag}, {id_list(ids)}: {FLAG_TEXTS[flag]}{action}")
+    return lines
 
 
 def _in_words(vehicles: Sequence[ReportedVehicle]) -> str:

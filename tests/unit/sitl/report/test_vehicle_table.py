@@ -72,10 +72,13 @@ def test_a_fleet_that_holds_on_command_soon_has_its_leader_again(flag: HealthFla
 
 def test_a_row_of_the_table_fits_eighty_columns() -> None:
     vehicles = [vehicle(P.FORMATION, F.LEADER_LOST, vehicle_id=i) for i in (1, 2)]
-    head, first, *_, remark = VehicleTable().lines(vehicles, 10.0)
-    assert max(map(len, (head, first))) <= 80
-    assert first.split()[:3] == ["1", "follower", "formation"]
-    assert remark == "  ! LEADER_LOST, vehicles 1, 2: no fresh leader beacon"
+    lines = VehicleTable().lines(vehicles, 10.0)
+    assert max(map(len, lines)) <= 80
+    assert lines[1].split()[:3] == ["1", "follower", "formation"]
+    assert lines[3:] == [
+        "  ! LEADER_LOST, vehicles 1, 2: no fresh leader beacon; in formation it goes",
+        "    into hold, after land_after_s lands",
+    ]
 
 
 def test_a_small_screen_keeps_the_vehicles_with_flags() -> None:
@@ -83,10 +86,11 @@ def test_a_small_screen_keeps_the_vehicles_with_flags() -> None:
     vehicles.append(vehicle(P.FORMATION, F.BATTERY_LOW, vehicle_id=30))
     lines = VehicleTable().lines(vehicles, 10.0, room=10)
     assert len(lines) == 10
-    assert lines[7].split()[0] == "30"
-    assert lines[8:] == [
-        "  and 23 more vehicles; a taller window shows them",
-        "  ! BATTERY_LOW, vehicle 30: battery below leave_below_percent",
+    assert lines[6].split()[0] == "30"
+    assert lines[7:] == [
+        "  and 24 more vehicles; a taller window shows them",
+        "  ! BATTERY_LOW, vehicle 30: battery below leave_below_percent; in formation it",
+        "    warns, after 3 s acts by low_battery_action",
     ]
 
 
