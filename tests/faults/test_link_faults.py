@@ -121,7 +121,7 @@ def test_over_tcp_streams_loss_ends_the_formation_in_hold(tmp_path: Path, row: F
         row.demanded = f"{demanded(Code.LEADER_LOST)}; no two nearer than {TOUCHING_M} m"
         row.measured = [f"first follower in hold {lost:.1f} s after the loss began"]
         row.outcome = "followers hold; use `datagrams` on such links"
-        flight.check(row, TOUCHING_M)
+        flight.check(row, least_m=TOUCHING_M)
         flight.links(UNDISTURBED)
         flight.land()
 

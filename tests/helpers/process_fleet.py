@@ -164,13 +164,13 @@ class FaultyFleet:
 
     # ------------------------------------------------------------ measured since the fault
 
-    def check(self, row: FaultRow, blind: Collection[int] = ()) -> None:
+    def check(self, row: FaultRow, blind: Collection[int] = (), least_m: float = SEPARATION_M) -> None:
         """Measure smallest distance and largest step, and hold them against their limits.
 
         Two vehicles that both land without a position drift towards each other: their distance is measured only.
         """
         row.smallest_distance_m, row.largest_step_deg = self.smallest_distance_m(), self.largest_step_deg()
-        assert self.smallest_distance_m(blind) >= SEPARATION_M, row
+        assert self.smallest_distance_m(blind) >= least_m, row
         assert row.largest_step_deg <= STEP_DEG, row
 
     def events(self, vehicle_id: int) -> list[Event]:

@@ -85,8 +85,8 @@ FAILSAFES: tuple[Failsafe, ...] = (
     # Two periods of 50 Hz: with an older position there is no fresh decision, and no setpoint.
     Failsafe(C.POSITION_STALE, "position {} s old", (STOP,), "a fresh LOCAL_POSITION_NED", limit=0.04),
     Failsafe(C.ATTITUDE_STALE, "attitude {} s old", (STOP,), "a fresh ATTITUDE_QUATERNION", limit=0.1),
-    # PX4 sends a new mode at once and an unchanged one twice a second, measured up to 0.53 s apart.
-    Failsafe(C.MODE_STALE, "mode {} s old", (STOP,), "a fresh flight mode", limit=0.8),
+    # PX4 sends a new mode at once and an unchanged one twice a second, measured up to 0.53 s apart: one may be lost.
+    Failsafe(C.MODE_STALE, "mode {} s old", (STOP,), "a fresh flight mode", limit=1.2),
     Failsafe(C.FRAME_UNKNOWN, "at once", (STOP,), "GPS_GLOBAL_ORIGIN, or the ground altitude"),
     Failsafe(C.GROUND_UNKNOWN, "at once, in the air", (STOP,), "a landing, and disarmed"),
     # PX4 sends HEARTBEAT once a second, whatever is asked: three in a row are lost.
