@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from itertools import combinations
-from math import dist, hypot, inf
+from math import atan, degrees, dist, hypot, inf
 from pathlib import Path
 
 from msgspec.structs import replace
@@ -17,9 +17,9 @@ from companion.config.named_files import read_named
 from companion.config.validation import INVALID, Problem, each, unless_invalid
 from companion.config.values import PositionM, Section, VehicleId, is_multicast
 from companion.geometry.airspace import area_m2, crossing_sides
-from companion.geometry.formations import ROUNDING_M, to_separation_metric
+from companion.geometry.formations import ROUNDING_M, SLOT_ACCELERATION_M_S2, to_separation_metric
 from companion.types.flight import Role
-from companion.types.values import Vector3
+from companion.types.values import GRAVITY_M_S2, Vector3
 
 SMALLEST_AREA_M2 = 1.0
 TILTS_WITHIN_S = 0.5  # the separation filter counts on a vehicle that reaches its largest tilt in this time
@@ -42,6 +42,7 @@ def fleet_problems(fleet: FleetConfig, where: str = "") -> Iterator[Problem]:
         airspace_problems(fleet, where),
         _speeds(fleet, f"{where}peers.max_speed_m_s"),
         _tilt_rate(fleet, f"{where}envelope.max_tilt_rate_deg_s"),
+        _turning(fleet, f"{where}envelope"),
         _multicast(fleet, f"{where}multicast"),
         _external_vision(fleet, f"{where}external_vision"),
         _battery(fleet, f"{where}land_below_percent"),
@@ -199,6 +200,20 @@ def _tilt_rate(fleet: FleetConfig, where: str) -> Iterator[Problem]:
             f"{rate_deg_s:g} is too slow to evade with max_tilt_deg {fleet.envelope.max_tilt_deg:g}; expected at least"
             f" {least_deg_s:g}, or less tilt",
         )
+
+
+def _turning(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    """Slots that turn with the course leave a reference less speed and tilt; without any left none can move."""
+    if not fleet.slots_turn:
+        return
+    envelope, least_deg = fleet.envelope, degrees(atan(SLOT_ACCELERATION_M_S2 / GRAVITY_M_S2))
+    reserved = "what slots need that turn with the course (formation_heading)"
+    if envelope.max_tilt_deg <= least_deg:
+        text = f"{envelope.max_tilt_deg:g} is no more than {reserved}; expected more than {least_deg:.1f}"
+        yield Problem(f"{where}.max_tilt_deg", text)
+    if envelope.max_speed_m_s <= fleet.slot_speed_m_s:
+        text = f"{envelope.max_speed_m_s:g} is no more than {reserved}; expected more than slot_speed_m_s"
+        yield Problem(f"{where}.max_speed_m_s", f"{text}, {fleet.slot_speed_m_s:g}")
 
 
 def _multicast(fleet: FleetConfig, where: str) -> Iterator[Problem]:

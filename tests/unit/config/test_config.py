@@ -131,6 +131,14 @@ def test_parameters_of_a_law_can_be_changed_one_by_one(tmp_path: Path) -> None:
             lambda f: f.update(envelope={"max_tilt_rate_deg_s": 30.0}),
             ["envelope.max_tilt_rate_deg_s", "30 is too slow to evade with max_tilt_deg 25", "at least 50"],
         ),
+        (
+            lambda f: f.update(formation_heading="course", envelope={"max_tilt_deg": 2.0}),
+            ["envelope.max_tilt_deg", "2 is no more than what slots need that turn", "expected more than"],
+        ),
+        (
+            lambda f: f.update(formation_heading="course", slot_speed_m_s=0.5, envelope={"max_speed_m_s": 0.5}),
+            ["envelope.max_speed_m_s", "0.5 is no more than what slots need", "expected more than slot_speed_m_s, 0.5"],
+        ),
         (lambda f: f.update(takeoff_height_m=60.0), ["takeoff_height_m", "60 is above the fence", "50 m"]),
         (lambda f: f.update(envelope={"max_tilt_deg": 80}), ["envelope.max_tilt_deg", "80", "<= 45"]),
         (lambda f: f.update(envelope={"fence_min_enu_m": [200, 0, 0]}), ["fence_min_enu_m", "x is 200"]),

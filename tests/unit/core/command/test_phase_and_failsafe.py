@@ -385,7 +385,9 @@ def test_a_mode_reported_twice_a_second_is_not_stale_where_one_report_is_lost() 
     """Measured: 0.51 to 0.53 s from one CURRENT_MODE to the next, whatever rate was asked for."""
     envelope = OutputLimits(0.5, 7.0, 0.3, 1.6, 10.0, Fence((-9.0, -9.0, -9.0), (9.0, 9.0, 9.0)))
     limits = HealthLimits(envelope)
-    vehicle = VehicleState(position_time_s=9.99, attitude_time_s=9.99, mode_time_s=10.0 - 2 * 0.53, heartbeat_time_s=9.5)
+    vehicle = VehicleState(
+        position_time_s=9.99, attitude_time_s=9.99, mode_time_s=10.0 - 2 * 0.53, heartbeat_time_s=9.5
+    )
     flags = health_flags(10.0, vehicle, limits)
     assert HealthFlag.MODE_STALE not in flags
     silent = health_flags(10.0, replace(vehicle, mode_time_s=10.0 - 1.3), limits)
