@@ -32,7 +32,10 @@ def readiness_lines(checks: Mapping[int, Sequence[Check]], silent: Sequence[int]
         warned = ready and any(check.warnings for check in checks[vehicle_id])
         lines.append(f"vehicle {vehicle_id}  {'ready' if ready else 'not ready'}{', with warnings' if warned else ''}")
         for check in checks[vehicle_id]:
-            lines += wrap_text(f"  {check.name:<11} {'ok' if check.passed else '--'}  ", check.found)
+            head = f"  {check.name:<11} {'ok' if check.passed else '--'}  "
+            for text in check.texts:
+                lines += wrap_text(head, text)
+                head = " " * len(head)
     return lines
 
 
@@ -125,15 +128,20 @@ NOT_CHECKED = "not checked while armed"
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check before flight; `codes` is empty where it passed, `found` describes the state or the findings.
+    """One check before flight; `codes` is empty where it passed. `texts`: the state or the findings, then each warning.
 
     A check that passed may have `warnings`.
     """
 
     name: str
     codes: tuple[Code, ...]
-    found: str
+    texts: tuple[str, ...]
     warnings: tuple[Code, ...] = ()
+
+    @property
+    def found(self) -> str:
+        """All texts in one line."""
+        return "; ".join(self.texts)
 
     @property
     def passed(self) -> bool:
@@ -204,10 +212,8 @@ def _notices(flags: Iterable[HealthFlag]) -> list[Notice]:
 
 def _check(name: str, notices: Collection[Notice], found: str, warnings: Collection[Notice] = ()) -> Check:
     """The findings, or `found` where there are none; then the warnings."""
-    texts = ["; ".join(map(str, notices)) or found, *(f"warning: {notice}" for notice in warnings)]
-    return Check(
-        name, tuple(notice.code for notice in notices), "; ".join(texts), tuple(notice.code for notice in warnings)
-    )
+    texts = ("; ".join(map(str, notices)) or found, *(f"warning: {notice}" for notice in warnings))
+    return Check(name, tuple(notice.code for notice in notices), texts, tuple(notice.code for notice in warnings))
 
 
 def _error(status: Status) -> str:

@@ -397,11 +397,11 @@ async def none_reports(server: Served) -> bool:
 
 
 def test_doctor_tells_warnings_of_a_vehicle_that_is_ready() -> None:
-    checks = [Check("origin", (), "in the fleet frame"), Check("battery", (), "unknown", (Code.BATTERY_UNKNOWN,))]
+    checks = [Check("origin", (), ("in the fleet frame",)), Check("battery", (), ("unknown",), (Code.BATTERY_UNKNOWN,))]
     answer = readiness_view(2, checks)
     assert (answer.kind, answer.code, answer.text) == ("ready, with warnings", "BATTERY_UNKNOWN", "battery: unknown")
     assert readiness_view(2, checks[:1]).kind == "ready"
-    failed = readiness_view(2, [Check("peers", (Code.PEER_STALE,), "no fresh report"), *checks])
+    failed = readiness_view(2, [Check("peers", (Code.PEER_STALE,), ("no fresh report",)), *checks])
     assert (failed.kind, failed.code) == ("not ready", "PEER_STALE")
 
 

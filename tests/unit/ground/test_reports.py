@@ -71,6 +71,8 @@ def test_warnings_of_the_audit_are_shown_and_fail_no_check() -> None:
     assert found["fleet file"] == "the same; warning: LOOKS_LIKE_DEGREES: vehicles[0].slot_enu_m"
     lines = readiness_lines({1: checks}, [], 3.0)
     assert lines[0] == "vehicle 1  ready, with warnings"
+    battery = lines.index("  battery     ok  80 %")
+    assert lines[battery + 1] == "                  warning: BATTERY_LOW: battery: 35 %"
     data = {check["check"]: check["warnings"] for check in readiness_as_data({1: checks}, [])[0]["checks"]}
     assert data["parameters"] == [Code.AUTOPILOT_FENCE_OFF]
 
