@@ -53,7 +53,12 @@ def _add_monitor(parser: argparse.ArgumentParser) -> None:
         "--replay", type=Path, metavar="FOLDER", help="show the recorded flight in this folder, with a time slider"
     )
     page.add_argument("--record", type=Path, metavar="FOLDER", help="record all statuses and the commands of this page")
-    page.add_argument("--tiles", type=Path, metavar="FOLDER", help="map tiles FOLDER/Z/X/Y.png below the map")
+    page.add_argument(
+        "--tiles",
+        type=Path,
+        metavar="PATH",
+        help="map tiles below the map: a folder with Z/X/Y.png, or an MBTiles file",
+    )
     terminal = parser.add_argument_group("terminal")
     terminal.add_argument("--tui", action="store_true", help="the table in the terminal instead of the page")
     terminal.add_argument("--once", action="store_true", help="print one table after at most 3 s and end")
@@ -69,7 +74,7 @@ def _run_monitor(options: argparse.Namespace) -> int:
       companion monitor                                          the current fleet, or a simulation
       companion monitor --control                                and commands from the page
       companion monitor --connect tls/192.168.1.11:7447 --identity identity      one vehicle of a real fleet
-      companion monitor --fleet-file fleet.yaml --tiles tiles    with fence, slots and a local map
+      companion monitor --fleet-file fleet.yaml --tiles field.mbtiles    with fence, slots and a local map
       companion monitor --listen 0.0.0.0:8600                    for the tablets in this network
       companion monitor --mavlink udpout:127.0.0.1:14550         and in QGroundControl
       companion monitor --replay flights/2026-05-03              a recorded flight

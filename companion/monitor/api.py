@@ -231,6 +231,14 @@ class MemberView(Struct, frozen=True):
     slot_enu_m: Vector3
 
 
+class TilesView(Struct, frozen=True):
+    """`attribution` must be shown with the tiles."""
+
+    least_zoom: int
+    most_zoom: int
+    attribution: str
+
+
 class FleetFileView(Struct, frozen=True, kw_only=True):
     """`GET /api/v1/fleets/NAME`: what the fleet file defines, for the map."""
 
@@ -250,7 +258,7 @@ class FleetFileView(Struct, frozen=True, kw_only=True):
     reference_enu_m: tuple[
         Vector3, ...
     ] = ()  # line of the reference that the leader flies, as it reports it; empty while unknown
-    tiles: bool = False  # whether this server has a folder of map tiles
+    tiles: TilesView | None = None  # map tiles of this server; null without --tiles
 
 
 class ControlView(Struct, frozen=True):

@@ -16,6 +16,7 @@ from companion.monitor.commander import Commander
 from companion.monitor.server import Address, listen_address, serve
 from companion.monitor.sources import LiveSource
 from companion.monitor.station import Station
+from companion.monitor.tiles import Tiles, open_tiles
 from companion.security.names import ParticipantRole
 
 if TYPE_CHECKING:
@@ -52,15 +53,14 @@ def run_live_page(options: LivePage) -> None:
         address = listen_address(options.listen)
     except ValueError as error:
         raise MonitorError(f"--listen {error}") from error
-    if options.tiles is not None and not options.tiles.is_dir():
-        raise MonitorError(f"--tiles {options.tiles}: no such folder; expected one with Z/X/Y.png")
+    tiles = open_tiles(options.tiles) if options.tiles else None
     if options.replay is None:
-        _show_vehicles(options, address)
+        _show_vehicles(options, address, tiles)
     else:
-        _show_recording(options, options.replay, address)
+        _show_recording(options, options.replay, address, tiles)
 
 
-def _show_vehicles(options: LivePage, address: Address) -> None:
+def _show_vehicles(options: LivePage, address: Address, tiles: Tiles | None) -> None:
     fleet, name, commanded = options.fleet, _fleet_name(options), _commanded(options) if options.control else None
     with ExitStack() as stack:
         session = stack.enter_context(FleetSession(name, options.endpoints, identity=options.identity))
@@ -77,7 +77,7 @@ def _show_vehicles(options: LivePage, address: Address) -> None:
             recording = stack.enter_context(closing(_recording(options.record, session, fleet, station)))
             station.listeners.append(recording.listen)
         commander = stack.enter_context(closing(Commander(session, commanded, station.log))) if commanded else None
-        serve(station, commander, address, options.tiles)
+        serve(station, commander, address, tiles)
 
 
 def _recording(folder: Path, session: FleetSession, fleet: FleetConfig | None, station: Station) -> GroundRecording:
@@ -93,7 +93,7 @@ def _recording(folder: Path, session: FleetSession, fleet: FleetConfig | None, s
     )
 
 
-def _show_recording(options: LivePage, folder: Path, address: Address) -> None:
+def _show_recording(options: LivePage, folder: Path, address: Address, tiles: Tiles | None) -> None:
     from companion.monitor.recordings import NoFlightError, read_flight
     from companion.recording.reader import RecordingError
 
@@ -109,7 +109,7 @@ def _show_recording(options: LivePage, folder: Path, address: Address) -> None:
         if options.mavlink is not None:
             shown = options.fleet or next(iter(fleets.values()), None)
             station.views.append(stack.enter_context(_feed(options.mavlink, shown)).forward)
-        serve(station, None, address, options.tiles)
+        serve(station, None, address, tiles)
 
 
 def with_file(recorded: dict[str, FleetConfig], options: LivePage) -> dict[str, FleetConfig]:

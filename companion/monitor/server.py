@@ -39,6 +39,7 @@ from companion.monitor.api import CommandRequest, ControlView
 from companion.monitor.command_requests import reference_forms
 from companion.monitor.commander import Commander
 from companion.monitor.station import Station
+from companion.monitor.tiles import DEEPEST_ZOOM, Tiles, content_type
 from companion.types.commands import CommandName
 from companion.types.flight import RULES
 from companion.types.values import quoted
@@ -55,7 +56,7 @@ _encoder = msgspec.json.Encoder()
 class Site:
     """The handlers. `commander` is None without --control; then `token` is not used."""
 
-    def __init__(self, station: Station, commander: Commander | None, token: str, tiles: Path | None) -> None:
+    def __init__(self, station: Station, commander: Commander | None, token: str, tiles: Tiles | None) -> None:
         self._station = station
         self._commander = commander
         self._token = token
@@ -112,7 +113,7 @@ class Site:
         if view is None:
             known = ", ".join(self._station.fleet_names) or "none; give one with --fleet-file"
             return error(404, f"this server has no such fleet file; it has: {known}")
-        return _json(msgspec.structs.replace(view, tiles=self._tiles is not None))
+        return _json(msgspec.structs.replace(view, tiles=self._tiles.view if self._tiles else None))
 
     async def _acknowledge(self, request: web.Request) -> web.StreamResponse:
         if self._commander and not has_token(request, self._token):
@@ -186,7 +187,6 @@ REFERENCE_FORMS, SHAPE_NAMES, LOOKS, PHASE_RULES = (
     b"[/* phase rules */]",
 )  # likewise
 ON_LIGHT, ON_DARK = b"/* vehicle looks on light */", b"/* vehicle looks on dark */"  # in css/theme.css
-DEEPEST_ZOOM = 24
 TILE_AGE_S = 86400
 
 
@@ -247,20 +247,16 @@ async def page_file(request: web.Request, files: Mapping[str, PageFile]) -> web.
     return response
 
 
-def _is_below(folder: Path, file: Path) -> bool:
-    """Whether there is such a file in the folder; a link may lead anywhere."""
-    return file.is_file() and file.resolve().is_relative_to(folder.resolve())
-
-
-async def tile(request: web.Request, folder: Path | None) -> web.StreamResponse:
-    """A map tile FOLDER/Z/X/Y.png."""
+async def tile(request: web.Request, tiles: Tiles | None) -> web.StreamResponse:
+    """A map tile. What its file has decides of the type, not the name in the address."""
     z, x, y = (int(request.match_info[name]) for name in ("z", "x", "y"))
-    if folder is None or z > DEEPEST_ZOOM or x >= 1 << z or y >= 1 << z:
+    if tiles is None or z > DEEPEST_ZOOM or x >= 1 << z or y >= 1 << z:
         return error(404, "no such tile")
-    file = folder / str(z) / str(x) / f"{y}.png"
-    if not await asyncio.to_thread(_is_below, folder, file):  # a folder on a slow disk delays no snapshot
+    image = await asyncio.to_thread(tiles.read, z, x, y)  # a slow disk delays no snapshot
+    kind = content_type(image) if image else None
+    if kind is None:
         return error(404, "no such tile")
-    return web.FileResponse(file, headers={"Cache-Control": f"max-age={TILE_AGE_S}", "Content-Type": "image/png"})
+    return web.Response(body=image, content_type=kind, headers={"Cache-Control": f"max-age={TILE_AGE_S}"})
 
 
 TOKEN_BYTES = 24
@@ -289,12 +285,12 @@ def listen_address(text: str) -> Address:
     return Address(found[1] or "127.0.0.1", int(found[2]))
 
 
-def serve(station: Station, commander: Commander | None, address: Address, tiles: Path | None = None) -> None:
+def serve(station: Station, commander: Commander | None, address: Address, tiles: Tiles | None = None) -> None:
     """Until Ctrl-C or SIGTERM. Raises MonitorError."""
     asyncio.run(_serve(station, commander, address, tiles))
 
 
-async def _serve(station: Station, commander: Commander | None, address: Address, tiles: Path | None) -> None:
+async def _serve(station: Station, commander: Commander | None, address: Address, tiles: Tiles | None) -> None:
     token = secrets.token_urlsafe(TOKEN_BYTES) if commander else ""
     site = Site(station, commander, token, tiles)
     listening = _listening(address)

@@ -36,6 +36,7 @@ from companion.monitor.commander import Commander
 from companion.monitor.server import Site
 from companion.monitor.sources import LiveSource, ReplaySource, Source
 from companion.monitor.station import Station
+from companion.monitor.tiles import open_tiles
 from companion.types.status import NetworkState
 from companion.types.values import ZERO3
 from ground_fleet import LinkedVehicles
@@ -183,7 +184,7 @@ async def served(
     """With a session commands are accepted."""
     station = Station(source, {fleet.name: fleet}, "anna@ground", may_control=session is not None)
     commander = Commander(session, fleet, station.log) if session else None
-    site = Site(station, commander, TOKEN, tiles)
+    site = Site(station, commander, TOKEN, open_tiles(tiles) if tiles else None)
     listening = socket.create_server(("127.0.0.1", 0))
     runner = web.AppRunner(site.app("127.0.0.1"), handle_signals=False, access_log=None, shutdown_timeout=0.5)
     await runner.setup()

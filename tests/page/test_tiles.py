@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from math import asinh, pi, radians, tan
 from pathlib import Path
 from socket import SOCK_STREAM
@@ -51,6 +52,22 @@ def tile_at(latitude_deg: float, longitude_deg: float, zoom: int) -> tuple[int, 
     return int((longitude_deg + 180.0) / 360.0 * count), int((1.0 - asinh(tan(latitude)) / pi) / 2.0 * count)
 
 
+def make_mbtiles(tmp_path: Path) -> Path:
+    """The tiles of `make_tiles` in one file, with an attribution."""
+    file = tmp_path / "field.mbtiles"
+    with closing(sqlite3.connect(file)) as database, database:
+        database.execute("CREATE TABLE metadata (name text, value text)")
+        database.execute(
+            "CREATE TABLE tiles (zoom_level integer, tile_column integer, tile_row integer, tile_data blob)"
+        )
+        values = [("format", "png"), ("attribution", '<a href="https://example.org">&copy; Field survey</a>')]
+        database.executemany("INSERT INTO metadata VALUES (?, ?)", values)
+        for tile in make_tiles(tmp_path).glob("*/*/*.png"):
+            x, y = int(tile.parent.name), 2**ZOOM - 1 - int(tile.stem)  # rows from the south
+            database.execute("INSERT INTO tiles VALUES (?, ?, ?, ?)", (ZOOM, x, y, tile.read_bytes()))
+    return file
+
+
 def make_tiles(tmp_path: Path, longitude_deg: float = DEFAULT_ORIGIN.longitude_deg) -> Path:
     """Orange tiles of zoom 17 about the origin of the fleet: some 600 m of them."""
     column, row = tile_at(DEFAULT_ORIGIN.latitude_deg, longitude_deg, ZOOM)
@@ -69,6 +86,13 @@ def test_tiles_of_a_folder_are_drawn_below_the_fleet(open_page: OpenPage, tmp_pa
     with monitored(tmp_path, "--tiles", str(tiles), longitude_deg=longitude_deg) as url:
         page = open_page(url)
         until_shown(page, lambda: page.evaluate(CORNER) == ORANGE)
+
+
+def test_tiles_of_a_file_are_drawn_with_their_attribution(open_page: OpenPage, tmp_path: Path) -> None:
+    with monitored(tmp_path, "--tiles", str(make_mbtiles(tmp_path))) as url:
+        page = open_page(url)
+        until_shown(page, lambda: page.evaluate(CORNER) == ORANGE)
+        until_shown(page, lambda: page.locator("#map-attribution").inner_text() == "© Field survey")
 
 
 def test_without_a_folder_no_tile_is_asked_for(open_page: OpenPage, tmp_path: Path) -> None:

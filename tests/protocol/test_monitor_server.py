@@ -95,7 +95,11 @@ def test_with_control_the_token_of_the_url_commands(vehicles: LinkedVehicles, tm
         (["--listen", "127.0.0.1:99999"], "expected ADDRESS:PORT"),
         (["--listen", "192.0.2.1:8600"], "this machine has no such address; expected one of its own"),
         (["--listen", "no.such.host.invalid:8600"], "unknown host; expected an address of this machine"),
-        (["--tiles", "nowhere"], "--tiles nowhere: no such folder; expected one with Z/X/Y.png"),
+        (
+            ["--tiles", "nowhere"],
+            "--tiles nowhere: no such folder or file; expected a folder with Z/X/Y.png, or an MBTiles file",
+        ),
+        (["--tiles", __file__], "file is not a database; expected a folder with Z/X/Y.png, or an MBTiles file"),
         (["--control"], "--control needs the fleet file: give --fleet-file, or save one: companion fleet use FILE"),
         (["--mavlink", "udpout:127.0.0.1:14550"], "--mavlink needs the fleet file"),
         (["--fleet-file", "nowhere.yaml"], "nowhere.yaml: cannot be read"),

@@ -193,6 +193,7 @@ function drawPanels() {
   render(mapTools({ map, planning, store, commanding }), at("map-tools"));
   render(help({ controls, close: () => at("help").close() }), at("help"));
   render(mapNote({ store, planning }), at("map-note"));
+  at("map-attribution").textContent = map.attribution;
   plots.update(theme.colours, document.documentElement.dataset.theme);
   if (store.arrivedMs !== null) metrics.drawn(store.arrivedMs);
 }

@@ -71,7 +71,11 @@ export class FleetMap {
   }
 
   probeTiles(file) {
-    this._tiles.probe(file.origin);
+    this._tiles.probe(file);
+  }
+
+  get attribution() {
+    return this._tiles.attribution;
   }
 
   draw(colours, nowMs) {

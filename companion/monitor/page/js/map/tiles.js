@@ -1,6 +1,7 @@
-/** Tiles of a local map, if the server has a folder of them: /tiles/Z/X/Y.png, about the origin of the fleet. */
+/** Tiles of a local map, if the server has some: /tiles/Z/X/Y.png, about the origin of the fleet. */
 
-const PROBED_ZOOMS = [17, 15, 19, 13]; // one of them answers, or there are no tiles
+const PROBED_ZOOMS = [17, 15, 19, 13]; // where there are tiles at the origin, one of these answers
+const MAGNIFIED = 3; // levels that a tile may be magnified
 const TILE_PX = 256;
 const KEPT = 300;
 const WGS84_A_M = 6378137;
@@ -16,12 +17,16 @@ export class Tiles {
   }
 
   /** Once for each fleet file: are there tiles at its origin? */
-  async probe(origin) {
+  async probe({ origin, tiles }) {
     if (this._origin && String(this._origin) === String(origin)) return;
     this._origin = origin;
     this._metres = metresPerDegree(origin[0]);
     this.found = false;
-    for (const zoom of PROBED_ZOOMS) {
+    const { least_zoom: least, most_zoom: most } = tiles;
+    this._zooms = [least, most];
+    this._attribution = tiles.attribution;
+    const probed = PROBED_ZOOMS.filter((zoom) => zoom >= least && zoom <= most);
+    for (const zoom of probed.length ? probed : [most]) {
       const [x, y] = this._tileAt([0, 0], zoom);
       const response = await fetch(path(zoom, Math.floor(x), Math.floor(y)), { method: "HEAD" }).catch(() => null);
       if (response?.ok) {
@@ -30,6 +35,11 @@ export class Tiles {
         return;
       }
     }
+  }
+
+  /** To whom the map belongs, while it is shown. */
+  get attribution() {
+    return this.found ? this._attribution : "";
   }
 
   draw(pen) {
@@ -48,7 +58,7 @@ export class Tiles {
 
   /** A tile that is missing is drawn from the tile above it, magnified. */
   _drawTile(pen, zoom, x, y) {
-    for (let up = 0; up <= 3; up += 1) {
+    for (let up = 0; up <= MAGNIFIED && zoom - up >= this._zooms[0]; up += 1) {
       const image = this._image(zoom - up, x >> up, y >> up);
       if (!image.ready) continue;
       const size = TILE_PX >> up;
@@ -82,8 +92,9 @@ export class Tiles {
 
   _zoomFor(scale) {
     const metresPerTile = (zoom) => (2 * Math.PI * WGS84_A_M * Math.cos(this._origin[0] * RADIAN)) / 2 ** zoom;
-    for (let zoom = 10; zoom < 19; zoom += 1) if (metresPerTile(zoom) * scale <= TILE_PX * 1.4) return zoom;
-    return 19;
+    const [least, most] = this._zooms;
+    for (let zoom = least; zoom < most; zoom += 1) if (metresPerTile(zoom) * scale <= TILE_PX * 1.4) return zoom;
+    return most;
   }
 
   _tileAt([east, north], zoom) {
