@@ -28,7 +28,7 @@ from sitl.flight.files import ids_of
 from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
 
-# What differs from a flight of the agents, for whoever reads figures of a batch.
+# What differs from a flight of the agents, for readers of its figures.
 LEFT_OUT = (
     "It begins in formation, in a hover with known mean wind and hover thrust: no take-off, no paths into the slots, no"
     " landing.",

@@ -82,7 +82,7 @@ class Pairs:
 
 
 class Nearby:
-    """Packets between all vehicles of a formation, whoever is a neighbour of whom, and the accelerations that they fly.
+    """Packets between all vehicles of a formation, neighbours or not, and the accelerations that they fly.
 
     A sender's own lag of its commands stands for that of each receiver: without losses they are the same, but that a receiver
     begins with the first command that it hears, where this one has a phase before its own first tick.

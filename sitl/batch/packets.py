@@ -244,7 +244,7 @@ def candidates_of(scenarios: Sequence[Scenario], columns: Columns) -> Candidates
 
 
 def everyone_of(columns: Columns) -> Candidates:
-    """All others of each formation, whoever is a neighbour of whom."""
+    """All others of each formation, neighbours or not."""
     n = columns.vehicles
     others = np.array([[j for j in range(n) if j != i] or [i] for i in range(n)], dtype=np.int64)
     first = np.arange(columns.formations, dtype=np.int64) * n

@@ -178,7 +178,7 @@ def take_survey(full: bool = False, progress: Progress = no_progress) -> GraphSu
 
 
 def with_progress(items: Sequence[Item], progress: Progress) -> Iterator[Item]:
-    """The items in turn; `progress` is told which share of them was taken."""
+    """The items in turn; `progress` gets the share of them that was taken."""
     for index, item in enumerate(items):
         if index % 100 == 0:
             progress(index / len(items))

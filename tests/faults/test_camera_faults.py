@@ -25,7 +25,7 @@ def laboratory_fault(what: str, for_s: float) -> str:
 
 
 def measure(flight: FaultyFleet, ids: tuple[int, ...], row: FaultRow) -> None:
-    """When the bodies were flagged, left formation, and were told to land."""
+    """When the bodies were flagged, left formation, and were commanded to land."""
     for i in ids:
         flagged = flight.event(i, Code.POSE_LOST)
         assert flagged, flight.logged()

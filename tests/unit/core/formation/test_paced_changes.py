@@ -1,4 +1,4 @@
-"""Commands and changes of leaders whose check is dear: a bounded part of it in each tick, and cheap refusals first."""
+"""Commands and changes of leaders whose check is expensive: a bounded part of it in each tick, and cheap refusals first."""
 
 from __future__ import annotations
 
