@@ -148,7 +148,8 @@ def _settled(summary: RunSummary) -> str:
     if summary.settle_s is not None:
         return f"  settled           {summary.settle_s:.1f} s to 10 cm"
     if not summary.reference_moves:
-        return "  settled           never to 10 cm"
+        errs = "" if summary.sensors in (None, "ideal") else f", with the errors of the sensors ({summary.sensors})"
+        return f"  settled           never to 10 cm{errs}"
     if summary.first_within_s is not None:
         return f"  within 10 cm      first after {summary.first_within_s:.1f} s, about a moving reference"
     return f"  smallest error    {summary.least_error_m:.3f} m of all vehicles at once, about a moving reference"

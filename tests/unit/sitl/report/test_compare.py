@@ -96,6 +96,15 @@ def test_the_smallest_error_is_reported_when_the_reference_moves(first_within_s:
     assert "settled to 10 cm" not in rows
 
 
+@pytest.mark.parametrize(
+    ("sensors", "text"),
+    [("ideal", "never to 10 cm;"), ("default", "never to 10 cm, with the errors of the sensors (default);")],
+)
+def test_noise_is_named_where_a_flight_never_settles(sensors: str, text: str) -> None:
+    flown = msgspec.structs.replace(summary("weighted", 1.78, None), sensors=sensors)
+    assert f"  settled           {text} final error" in in_words(flown)
+
+
 def test_a_long_chain_has_its_largest_distance_in_a_line_and_wanted_ones_by_size() -> None:
     pairs = {f"{i}-{i + 1}": 10.0 if i == 3 else 2.0 for i in range(1, 16)}
     flown = msgspec.structs.replace(
