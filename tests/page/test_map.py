@@ -201,3 +201,44 @@ def test_the_fleet_goes_to_a_place_that_is_clicked(open_page: OpenPage) -> None:
         assert end == pytest.approx([2.0, -1.0, 5.0], abs=0.15)
         server.change = lambda vs: [replace(v, phase="hold") for v in vs]
         expect(page.locator("[data-action=go]")).to_be_disabled()
+
+
+def size(page: Page, panel: str) -> tuple[float, float]:
+    box = page.locator(panel).bounding_box()
+    assert box
+    return box["width"], box["height"]
+
+
+def test_the_map_gets_the_room_that_the_operator_gives_it(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url)
+        usual = size(page, "#map")
+        assert usual[0] > 700.0 and usual[1] > 560.0
+        box = page.locator("#divider-side").bounding_box()
+        assert box
+        drag(page, (box["x"] + 6.0, box["y"] + 300.0), (80.0, 0.0))
+        assert size(page, "#map") == (usual[0] + 80.0, usual[1])
+        drag(page, (box["x"] + 86.0, box["y"] + 300.0), (900.0, 0.0))
+        assert size(page, "#side")[0] == 300.0  # its least width
+        plots = page.locator("#divider-plots")
+        plots.focus()
+        for _ in range(2):
+            page.keyboard.press("ArrowDown")
+        assert size(page, "#map")[1] == usual[1] + 32.0
+        assert plots.get_attribute("aria-valuenow") == "164"
+        page.reload()
+        until_shown(page, "globalThis.companionMetrics?.count > 0")
+        assert (size(page, "#side")[0], size(page, "#map")[1]) == (300.0, usual[1] + 32.0)
+        page.locator("#divider-side").focus()
+        page.keyboard.press("Enter")
+        assert size(page, "#map")[0] == usual[0]
+        page.set_viewport_size({"width": 390, "height": 844})
+        low = size(page, "#map")[1]
+        page.locator("#divider-map").focus()
+        page.keyboard.press("Shift+ArrowDown")
+        assert size(page, "#map")[1] == pytest.approx(low + 64.0, abs=1.0)
+        page.get_by_role("button", name="Help").click()
+        page.locator("#usual-sizes").click()
+        assert size(page, "#map")[1] == low
+        page.set_viewport_size({"width": 1440, "height": 900})
+        assert size(page, "#map") == usual

@@ -2,6 +2,7 @@
 
 import { acknowledge, readToken } from "./api.js";
 import { Commanding } from "./commanding.js";
+import { Dividers } from "./dividers.js";
 import { watchAbortKeys, watchHolds } from "./hold.js";
 import { LiveConnection } from "./live.js";
 import { FleetMap } from "./map/map.js";
@@ -45,6 +46,7 @@ const map = new FleetMap(at("scene"), at("map-cursor"), store, planning, {
   changed: schedule,
   selected: (id, several) => act.select(id, several),
 });
+const dividers = new Dividers(document.querySelector("main"));
 const plots = new Plots(at("plots"), store);
 const watchRows = watchSight(at("vehicles"), schedule);
 
@@ -191,7 +193,7 @@ function drawPanels() {
   for (const { id, view } of panels) if (view) render(view(context), at(id));
   watchRows();
   render(mapTools({ map, planning, store, commanding }), at("map-tools"));
-  render(help({ controls, close: () => at("help").close() }), at("help"));
+  render(help({ controls, dividers, close: () => at("help").close() }), at("help"));
   render(mapNote({ store, planning }), at("map-note"));
   at("map-attribution").textContent = map.attribution;
   plots.update(theme.colours, document.documentElement.dataset.theme);

@@ -12,7 +12,7 @@ const MAP_KEYS = [
   ["Ctrl + Z", "take back the last point, or the last drag of a point or slot"],
 ];
 
-export function help({ controls, close }) {
+export function help({ controls, dividers, close }) {
   return html`<h2 id="help-title">Keys and gestures</h2>
     ${controls ? html`<p class="critical"><kbd>Shift</kbd> + <kbd>Escape</kbd>, both held for half a second: ABORT of all
       vehicles of the fleet, from anywhere on the page. On the ground they disarm, in the air they stop in their autopilots'
@@ -22,5 +22,8 @@ export function help({ controls, close }) {
     <p>The keys work while the map has the focus. With the mouse: drag to move, Shift or the right button to rotate and tilt,
       the wheel to zoom. With fingers: one moves, two zoom and rotate.</p>
     <p>A click selects a vehicle, with Shift several.</p>
+    <p>The lines between panels are dragged, or moved by arrow keys, with Shift in longer steps; a double click or Enter gives
+      the usual size.</p>
+    <button id="usual-sizes" ?disabled=${dividers.areUsual} @click=${() => dividers.reset()}>Usual sizes of all panels</button>
     <button @click=${close}>Close</button>`;
 }
