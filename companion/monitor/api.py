@@ -161,15 +161,22 @@ class AlarmView(Struct, frozen=True, kw_only=True):
 
 
 class EventView(Struct, frozen=True, kw_only=True):
-    """Something that happened: an event of a vehicle, a phase change, a command, an answer."""
+    """Something that happened: an event of a vehicle, a phase change, a command, an answer.
+
+    `leader`: the vehicle leads from now on. `formation`: it flies another one. A command and its answers have the same
+    `command`, whatever that is; `outcome` of an answer is as in `companion fleet --json`, of an alarm `ended` or "".
+    """
 
     id: int
     time_s: float
     fleet: str
     vehicle_id: int | None
-    kind: Literal["event", "phase", "command", "answer", "alarm"]
+    kind: Literal["event", "phase", "leader", "formation", "command", "answer", "alarm"]
     code: str
     text: str
+    operator: str = ""  # who gave the command
+    command: str = ""
+    outcome: str = ""
 
 
 class ReplayView(Struct, frozen=True):
@@ -351,3 +358,13 @@ class History(Struct, frozen=True):
 
     points: tuple[HistoryPoint, ...]
     events: tuple[EventView, ...]
+
+
+class FlightView(Struct, frozen=True):
+    """`GET /api/v1/flight`, of a replay: what happened in all of it, before and after the present time.
+
+    `leader_ids` has for each fleet who led about a second after its begin.
+    """
+
+    events: tuple[EventView, ...]
+    leader_ids: dict[str, tuple[int, ...]]

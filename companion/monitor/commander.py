@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Literal, Protocol, TypeVar
+from itertools import count
+from typing import Protocol, TypeVar
 
 from msgspec.structs import replace
 
@@ -20,6 +21,7 @@ from companion.ground.reports import Check, no_report, readiness_of
 from companion.ground.session import FleetSession
 from companion.monitor.api import AnswerView, CommandRequest, CommandResult, Preview
 from companion.monitor.command_requests import ABORT, DOCTOR, HOLD, LAND, WAIT_S, fleet_action, preview_of
+from companion.monitor.events import Given, Kind
 from companion.types.commands import CommandName, Content
 from companion.types.errors import CompanionError
 from companion.types.notices import Code, Notice
@@ -37,7 +39,7 @@ class Log(Protocol):
     """Station.log."""
 
     def __call__(
-        self, fleet: str, vehicle_id: int | None, kind: Literal["command", "answer"], code: str, text: str
+        self, fleet: str, vehicle_id: int | None, kind: Kind, code: str, text: str, given: Given = ...
     ) -> None: ...
 
 
@@ -48,6 +50,7 @@ class Commander:
         self._session = session
         self._fleet = fleet
         self._log = log
+        self._count = count(1)  # of its commands
         self._running: list[Running] = []  # oldest first; at most one is not urgent
         self._threads = ThreadPoolExecutor(max_workers=AT_ONCE, thread_name_prefix="command")
         self._abort_threads = ThreadPoolExecutor(max_workers=AT_ONCE, thread_name_prefix="abort")
@@ -100,14 +103,15 @@ class Commander:
     async def _send(self, wanted: FleetAction, running: Running, threads: ThreadPoolExecutor) -> CommandResult:
         """In one of these threads."""
         ids = sorted(running.ids)
-        self._log_command(wanted.name, ids, wanted)
+        given = Given(self._session.operator, f"{self._session.operator}/{next(self._count)}")
+        self._log_command(wanted.name, ids, wanted, given)
         session = UntilEnded(self._session, running)
         try:
             await self._check(wanted, running)
             result = await self._in_thread(threads, lambda: self._sent(session, wanted))
         except REFUSALS as error:
             result = CommandResult(wanted.name, (), error=_one_line(error))
-        return self._logged(result)
+        return self._logged(result, given)
 
     async def _check(self, wanted: FleetAction, running: Running) -> None:
         """Of the content, before anything is sent. Raises ConfigError and OperateError."""
@@ -167,20 +171,22 @@ class Commander:
         checks = readiness_of(self._session.newest(), self._fleet)
         return CommandResult(DOCTOR, tuple(readiness_view(i, checks.get(i)) for i in ids))
 
-    def _log_command(self, name: str, ids: list[int], wanted: FleetAction) -> None:
+    def _log_command(self, name: str, ids: list[int], wanted: FleetAction, given: Given) -> None:
         details = f" {', '.join(map(str, wanted.leaders))}" if wanted.leaders else ""
         if wanted.formation and wanted.formation.shape:
             details = f" {wanted.formation.shape}, {wanted.formation.spacing_m:g} m"
         text = f"{self._session.operator}: {name}{details} to {id_list(ids)}"
-        self._log(self._fleet.name, None, "command", name, text)
+        self._log(self._fleet.name, None, "command", name, text, given)
 
-    def _logged(self, result: CommandResult) -> CommandResult:
+    def _logged(self, result: CommandResult, given: Given) -> CommandResult:
         if result.error:
             code = Code.NO_REPLY if result.answers else Code.NOT_SENT
-            self._log(self._fleet.name, None, "answer", code, f"{result.name}: {result.error}")
+            outcome = given._replace(outcome=AnswerKind.MISSING if result.answers else AnswerKind.NOT_SENT)
+            self._log(self._fleet.name, None, "answer", code, f"{result.name}: {result.error}", outcome)
         for answer in result.answers:
             text = f"{result.name} {answer.kind}: {answer.text}"
-            self._log(self._fleet.name, answer.vehicle_id, "answer", answer.code, text)
+            outcome = given._replace(outcome=answer.kind)
+            self._log(self._fleet.name, answer.vehicle_id, "answer", answer.code, text, outcome)
         return result
 
     def close(self) -> None:

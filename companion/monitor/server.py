@@ -77,6 +77,7 @@ class Site:
                 web.get(f"{api}/live", self._live),
                 web.get(f"{api}/snapshot", self._snapshot),
                 web.get(f"{api}/history", self._history),
+                web.get(f"{api}/flight", self._flight),
                 web.get(f"{api}/fleets/{{name}}", self._fleet),
                 web.get(f"{api}/control", self._control),
                 web.post(f"{api}/commands", self._command),
@@ -107,6 +108,14 @@ class Site:
 
     async def _history(self, _request: web.Request) -> web.StreamResponse:
         return _json(self._station.history())
+
+    async def _flight(self, _request: web.Request) -> web.StreamResponse:
+        flight = await self._station.flight()
+        return (
+            error(404, "this is no replay; GET /api/v1/history has the events kept")
+            if flight is None
+            else _json(flight)
+        )
 
     async def _fleet(self, request: web.Request) -> web.StreamResponse:
         view = self._station.fleet_map(request.match_info["name"])

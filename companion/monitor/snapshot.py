@@ -37,7 +37,7 @@ from companion.monitor.api import (
     VehicleView,
 )
 from companion.monitor.command_requests import described_track_enu_m
-from companion.monitor.events import EventLog, compare_reports
+from companion.monitor.events import ENDED, EVENTS_KEPT, NOTHING_GIVEN, EventLog, Given, Happening, compare_reports
 from companion.monitor.fleet_figures import FleetFigures
 from companion.monitor.vehicle_view import fresh_position_enu_m, vehicle_view
 from companion.types.autopilot import LandedState
@@ -53,13 +53,19 @@ TIMES_KEPT = 64  # arrival times of a vehicle's reports, for its report rate
 class Picture:
     """All that is known of the fleets. Times: `now_s` is of the clock of the reports, `time_s` is Unix time."""
 
-    def __init__(self, fleets: Mapping[str, FleetConfig], operator: str, may_control: bool = False) -> None:
+    def __init__(
+        self,
+        fleets: Mapping[str, FleetConfig],
+        operator: str,
+        may_control: bool = False,
+        events_kept: int = EVENTS_KEPT,
+    ) -> None:
         self._files = fleets
         self._hashes = {name: fleet.formation_hash() for name, fleet in fleets.items()}
         self._operator = operator
         self._may_control = may_control
         self.alarms = AlarmList()
-        self.events = EventLog()
+        self.events = EventLog(events_kept)
         self._number = 0
         self._begin()
 
@@ -92,7 +98,7 @@ class Picture:
             self._arrivals.setdefault(key, deque(maxlen=TIMES_KEPT)).append(arrived_s)
             if before is not None:
                 for kind, code, text in compare_reports(before.report.status, status):
-                    self.events.add(arrived_s + unix_ahead_s, *key, kind, code, text)
+                    self.events.add(Happening(arrived_s + unix_ahead_s, *key, kind, code, text))
             on_ground = not status.autopilot.armed and status.autopilot.landed is LandedState.ON_GROUND
             if on_ground and status.motion.is_known:
                 self._homes.setdefault(status.agent.fleet, {})[status.agent.vehicle_id] = status.motion.position_enu_m
@@ -188,7 +194,8 @@ class Picture:
         for alarm in changes.begun:
             self._alarm_event(time_s, alarm, alarm.text)
         for alarm in changes.ended:
-            self._alarm_event(time_s, alarm, f"ended after {time_s - alarm.since_s:.1f} s: {alarm.text}")
+            text = f"ended after {time_s - alarm.since_s:.1f} s: {alarm.text}"
+            self._alarm_event(time_s, alarm, text, Given(outcome=ENDED))
 
     def _doubted(self, name: str, vehicles: Sequence[VehicleView]) -> dict[Key, AlarmCondition]:
         """What the vehicles of a fleet that report now cannot mean."""
@@ -196,8 +203,8 @@ class Picture:
         statuses = [self._state.vehicles[name, i].report.status for i in heard]
         return doubt_conditions(name, doubts_of(statuses, self._files[name]))
 
-    def _alarm_event(self, time_s: float, alarm: AlarmView, text: str) -> None:
-        self.events.add(time_s, alarm.fleet, alarm.vehicle_id, "alarm", alarm.code, text)
+    def _alarm_event(self, time_s: float, alarm: AlarmView, text: str, given: Given = NOTHING_GIVEN) -> None:
+        self.events.add(Happening(time_s, alarm.fleet, alarm.vehicle_id, "alarm", alarm.code, text, given))
 
     def history(self) -> History:
         return History(self._history.points(), self.events.all())

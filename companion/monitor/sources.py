@@ -106,6 +106,10 @@ class ReplaySource:
         self._before_jump: list[TimedReport] = []
         self._from = Moment(clock(), self._times[0])  # machine's clock and time of the flight
 
+    def again(self) -> ReplaySource:
+        """The same flight from its begin, paused. It shares what was recorded."""
+        return ReplaySource(self._reports, self._happenings, lambda: 0.0)
+
     @property
     def replay(self) -> ReplayView:
         return ReplayView(self._times[0], self._times[-1], self.moment().time_s, self._speed)

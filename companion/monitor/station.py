@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import msgspec
 
 from companion.config.fleet import FleetConfig
 from companion.ground.fleet_state import ReportedVehicle
-from companion.monitor.api import AlarmView, ClientMessage, FleetFileView, History, Seek, Snapshot, Speed
-from companion.monitor.events import Kind
+from companion.monitor.api import AlarmView, ClientMessage, FleetFileView, FlightView, History, Seek, Snapshot, Speed
+from companion.monitor.events import NOTHING_GIVEN, Given, Happening, Kind
 from companion.monitor.snapshot import Picture
 from companion.monitor.sources import BEFORE_JUMP_S, Moment, ReplaySource, Source, TimedReport
 
@@ -20,6 +20,8 @@ STEPS_PER_SNAPSHOT = 2
 CONNECTIONS_EVERY_S = 3.0
 RETRACED_S = 300.0  # before the time that a replay jumps to: of alarms, events and history
 RETRACE_STEP_S = 0.5
+FLIGHT_EVENTS_KEPT = 20_000
+BEGUN_S = 1.0  # after the begin of a flight all of its vehicles have reported
 FAR_BEHIND_S = 1.0  # after a pause of this process steps are left out, not made up for
 
 _log = logging.getLogger(__name__)
@@ -48,6 +50,8 @@ class Station:
         self._source = source
         self._guessed = endpoints_are_guessed
         self._picture = Picture(fleets, operator, may_control)
+        self._fleets = fleets
+        self._flight: asyncio.Task[FlightView] | None = None
         self._connected: tuple[str, ...] = ()
         self._unreachable: tuple[str, ...] = ()
         self._published_event = 0
@@ -92,7 +96,7 @@ class Station:
         moment, reports = self._source.moment(), self._source.drain()
         self._picture.receive(reports, moment.time_s - moment.now_s)
         for happening in self._source.drain_happenings():
-            self._picture.events.add(*happening)
+            self._picture.events.add(happening)
         return moment, reports
 
     def _jump(self, source: ReplaySource, time_s: float) -> None:
@@ -105,11 +109,16 @@ class Station:
         begin_s = max(end_s - RETRACED_S, source.replay.begin_s)
         source.seek(begin_s)
         self._picture.jump(begin_s - BEFORE_JUMP_S)
+        for _ in self._play(source, begin_s, end_s):
+            pass
+        source.go_on(end_s)
+
+    def _play(self, source: ReplaySource, begin_s: float, end_s: float) -> Iterator[Snapshot]:
+        """At once, step by step."""
         for step in range(int((end_s - begin_s) / RETRACE_STEP_S) + 1):
             source.go_on(begin_s + step * RETRACE_STEP_S)
             self._take_in()
-            self._snapshot(source.moment())
-        source.go_on(end_s)
+            yield self._snapshot(source.moment())
 
     def renew(self) -> None:
         """Take and publish the snapshot of this moment."""
@@ -153,13 +162,34 @@ class Station:
         """None where there is no alarm with this id."""
         return self._picture.alarms.acknowledge(alarm_id)
 
-    def log(self, fleet: str, vehicle_id: int | None, kind: Kind, code: str, text: str) -> None:
+    def log(
+        self, fleet: str, vehicle_id: int | None, kind: Kind, code: str, text: str, given: Given = NOTHING_GIVEN
+    ) -> None:
         """An event that this program knows of: a command, an answer."""
-        self._picture.events.add(self._source.moment().time_s, fleet, vehicle_id, kind, code, text)
+        self._picture.events.add(Happening(self._source.moment().time_s, fleet, vehicle_id, kind, code, text, given))
 
     def history(self) -> History:
         return self._picture.history()
 
+    async def flight(self) -> FlightView | None:
+        """None of live vehicles. The first call looks through all of the flight, in a thread, for as long as jumps take."""
+        if not isinstance(self._source, ReplaySource):
+            return None
+        if self._flight is None:
+            self._flight = asyncio.create_task(asyncio.to_thread(flight_of, self._source.again(), self._fleets))
+        return await asyncio.shield(self._flight)
+
     def fleet_map(self, name: str) -> FleetFileView | None:
         """None without the fleet file of this fleet."""
         return self._picture.fleet_map(name)
+
+
+def flight_of(source: ReplaySource, fleets: Mapping[str, FleetConfig]) -> FlightView:
+    """By the same steps as the replay itself. `source` is at its begin."""
+    station = Station(source, fleets, "")
+    station._picture = Picture(fleets, "", events_kept=FLIGHT_EVENTS_KEPT)
+    leader_ids: dict[str, tuple[int, ...]] = {}
+    for snapshot in station._play(source, source.replay.begin_s, source.replay.end_s + RETRACE_STEP_S):
+        if snapshot.time_s <= source.replay.begin_s + BEGUN_S:
+            leader_ids = {fleet.name: fleet.leader_ids for fleet in snapshot.fleets}
+    return FlightView(station._picture.events.all(), leader_ids)

@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from math import ceil, cos, dist, pi, radians, sin, sqrt
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 from aiohttp import WSMsgType, web
@@ -28,6 +28,7 @@ from companion.monitor.api import (
     EventView,
     FleetFileView,
     FleetView,
+    FlightView,
     History,
     HistoryPoint,
     HistorySample,
@@ -43,6 +44,7 @@ from companion.monitor.api import (
     TimingView,
     VehicleView,
 )
+from companion.monitor.events import ENDED, NOTHING_GIVEN, Given, Happening, Kind, event_view
 from companion.monitor.server import page_file, page_files
 from companion.types.status import NetworkState
 from companion.types.values import Vector3
@@ -210,7 +212,6 @@ def fleet_file(count: int, name: str = "ring") -> FleetFileView:
 FILES = page_files()
 TOKEN = "a-token-of-this-test"  # until a test changes that of its server
 POLICY = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'"
-Kind = Literal["event", "phase", "command", "answer", "alarm"]
 Change = Callable[[list[VehicleView]], list[VehicleView]]
 ANSWER_MS = 31.0
 HISTORY_POINTS = 60
@@ -228,6 +229,7 @@ class PageServer:
         self.unreachable: tuple[str, ...] = ()  # with these no vehicle reports
         self.alarms: list[AlarmView] = []
         self.events: list[EventView] = []  # taken by the next snapshot
+        self.flight = FlightView((), {})  # of a replay
         self.replay: ReplayView | None = None
         self.refuse: dict[int, str] = {}  # by vehicle, the reason
         self.no_place = ""  # why a WebSocket is refused
@@ -283,11 +285,16 @@ class PageServer:
         self.alarms = [*self.alarms, alarm]
         return alarm
 
-    def event(self, code: str, text: str, vehicle_id: int | None = None, kind: Kind = "event") -> None:
-        now_s, fleet = time.time(), self.fleet_name
-        number = int(now_s * 1e6)
-        event = EventView(id=number, time_s=now_s, fleet=fleet, vehicle_id=vehicle_id, kind=kind, code=code, text=text)
-        self.events.append(event)
+    def event(
+        self,
+        code: str,
+        text: str,
+        vehicle_id: int | None = None,
+        kind: Kind = "event",
+        given: Given = NOTHING_GIVEN,
+    ) -> None:
+        happening = Happening(time.time(), self.fleet_name, vehicle_id, kind, code, text, given)
+        self.events.append(event_view(int(happening.time_s * 1e6), happening))
 
     def vehicles(self, time_s: float) -> list[VehicleView]:
         return self.change(vehicles_at(time_s - self.begin_s, self.count, self.fleet_name))
@@ -325,6 +332,7 @@ class PageServer:
             [
                 web.get("/api/v1/live", self._live),
                 web.get("/api/v1/history", self._history),
+                web.get("/api/v1/flight", self._flight),
                 web.get("/api/v1/fleets/{name}", self._fleet),
                 web.get("/api/v1/control", self._control),
                 web.post("/api/v1/commands", self._command),
@@ -368,7 +376,17 @@ class PageServer:
     async def _read(self, socket: web.WebSocketResponse) -> None:
         async for message in socket:
             if message.type is WSMsgType.TEXT:
-                self.received.append(message.json())
+                self._act(message.json())
+
+    def _act(self, message: dict[str, Any]) -> None:
+        self.received.append(message)
+        if self.replay and message["type"] == "seek":
+            self.replay = structs.replace(self.replay, now_s=message["time_s"])
+        elif self.replay:
+            self.replay = structs.replace(self.replay, speed=message["speed"])
+
+    async def _flight(self, _: web.Request) -> web.Response:
+        return _json(self.flight)
 
     async def _history(self, _: web.Request) -> web.Response:
         self.histories += 1
@@ -459,6 +477,33 @@ async def _page_file(request: web.Request) -> web.StreamResponse:
 
 def _json(value: object, status: int = 200) -> web.Response:
     return web.Response(body=msgspec.json.encode(value), content_type="application/json", status=status)
+
+
+ANNA = "anna@ground"
+
+
+def flown(begin_s: float, fleet: str = "ring") -> FlightView:
+    """A hold that vehicle 2 refuses, another formation, another leader, an alarm, a landing."""
+
+    def at(offset_s: float, kind: Kind, i: int | None, code: str, text: str, given: Given = NOTHING_GIVEN) -> Happening:
+        return Happening(begin_s + offset_s, fleet, i, kind, code, text, given)
+
+    happened = []
+    for i in (1, 2):
+        given = Given(ANNA, f"{ANNA}/{i}/7")
+        happened.append(at(50.0 + i / 100.0, "command", i, "hold", f"{ANNA}: hold", given))
+        outcome, reason = ("accepted", "holds") if i == 1 else ("refused", "it is not armed")
+        answer = given._replace(outcome=outcome)
+        happened.append(at(50.1 + i / 100.0, "answer", i, "CODE", f"{outcome} for {ANNA}: {reason}", answer))
+    happened += [at(100.0 + i / 100.0, "formation", i, "FORMATION_CHANGED", "formation 1 -> 2") for i in (1, 2, 3, 4)]
+    happened += [
+        at(150.0, "leader", 2, "ROLE_CHANGED", "follower -> leader in epoch 2"),
+        at(200.0, "alarm", 3, "BATTERY_LOW", "battery below 25 %"),
+        at(210.0, "alarm", 3, "BATTERY_LOW", "ended after 10.0 s", Given(outcome=ENDED)),
+        at(250.0, "command", 1, "land", f"{ANNA}: land", Given(ANNA, f"{ANNA}/1/8")),
+    ]
+    events = tuple(event_view(number, happening) for number, happening in enumerate(happened, start=1))
+    return FlightView(events, {fleet: (1,)})
 
 
 PATIENCE_S = 30.0

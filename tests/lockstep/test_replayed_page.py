@@ -45,7 +45,7 @@ class Shown:
             self._now_s += 0.1
             self.picture.receive(source.drain())
             for happening in source.drain_happenings():
-                self.picture.events.add(*happening)
+                self.picture.events.add(happening)
             snapshot = self.picture.snapshot(*source.moment())
         return snapshot
 

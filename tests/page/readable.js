@@ -38,7 +38,22 @@
       }
       return right > innerWidth + 1;
     };
-    return texts().filter((e) => field(e) || wide(e) || hidden(e)).map((e) => `cut off: ${named(e)}`);
+    const found = texts().filter((e) => field(e) || wide(e) || hidden(e)).map((e) => `cut off: ${named(e)}`);
+    return found.concat(crowdedInTimeline());
+  }
+
+  const ofTimeline = () => [...document.querySelectorAll(".timeline text")].filter((e) => e.checkVisibility());
+  const meet = (a, b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+
+  function crowdedInTimeline() {
+    const boxes = ofTimeline().map((e) => {
+      const { left, top, right, bottom } = e.getBoundingClientRect();
+      return [left + 0.5, top + 2, right - 0.5, bottom - 2, e];
+    });
+    const pairs = boxes.flatMap((one, i) => boxes.slice(0, i).filter((other) => meet(one, other)).map((other) => [one, other]));
+    const outside = boxes.filter(([, , right, , e]) => right > e.ownerSVGElement.getBoundingClientRect().right + 1);
+    const texts = pairs.map((pair) => `overlap: ${pair.map((box) => box[4].textContent).join(" and ")}`);
+    return texts.concat(outside.map((box) => `cut off: ${box[4].textContent}`));
   }
 
   /** [red, green, blue, alpha] of #rrggbb, rgb(...) and rgba(...). */
@@ -92,6 +107,12 @@
   function pale() {
     const enabled = texts().filter((e) => !e.closest(":disabled, label:has(:disabled)"));
     const found = enabled.map((e) => [least(e, getComputedStyle(e).color, opacityOf(e)), TEXT_RATIO, e]);
+    for (const e of ofTimeline()) {
+      const span = e.closest(".span")?.querySelector("rect");
+      const fill = span ? getComputedStyle(span).fill : "none";
+      const below = fill === "none" ? behind(e.ownerSVGElement.parentElement) : [parsed(fill)];
+      found.push([Math.min(...below.map((one) => ratio(parsed(getComputedStyle(e).fill), one))), TEXT_RATIO, e]);
+    }
     const symbols = [...document.querySelectorAll(".symbol path, .plot-key line")].filter((e) => e.checkVisibility());
     const strokes = symbols.map((e) => [e, getComputedStyle(e).stroke]);
     found.push(...strokes.map(([e, stroke]) => [least(e.closest("svg").parentElement, stroke, 1), SHAPE_RATIO, e]));
@@ -140,13 +161,13 @@
   /** Pairs of texts on the map that overlap, without those of the ground below the vehicles; without ids where symbols overlap. */
   function overlapping({ ids }) {
     const seen = shownOnMap.filter(({ text, sizePx }) => sizePx > GROUND_PX && !(ids ? /^[A-Z▲]$/ : /^\d+$|^.$/).test(text));
-    const meet = (a, b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
     const pairs = seen.flatMap((one, i) => seen.slice(0, i).map((other) => [one, other]));
     return pairs.filter(([one, other]) => meet(one.box, other.box)).map((pair) => pair.map(({ text }) => text).join(" and "));
   }
 
   /** Of what canvases write from now on, in the colours of now. */
   async function drawnPale() {
+    for (let i = 0; i < 5; i += 1) await frame(); // another theme is drawn within them
     drawn.clear();
     for (let i = 0; i < 60 && drawn.size < 2; i += 1) await frame();
     const none = drawn.size ? [] : ["no text on a canvas"]; // then this would see nothing

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
 from common import ROOT
 from companion.monitor.api import FlagView, ReplayView, VehicleView
-from page_server import PageServer
+from page_server import PageServer, flown
 
 IMAGES = ROOT / "docs" / "images"
 CHROMIUM = "/usr/bin/chromium"
@@ -112,6 +112,7 @@ def lost(browser: Browser) -> None:
 def replayed(browser: Browser) -> None:
     with PageServer() as server:
         server.replay = ReplayView(server.begin_s, server.begin_s + 420.0, server.begin_s + 100.0, 1.0)
+        server.flight = flown(server.begin_s)
         page = opened(browser, server, DESK)
         save(page, "replay")
         page.close()

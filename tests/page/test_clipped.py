@@ -12,7 +12,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.monitor.api import FlagView, ReplayView, VehicleView
-from page_server import PageServer
+from page_server import PageServer, flown
 
 expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missing").expect
 
@@ -91,7 +91,10 @@ def test_every_text_without_a_fleet_can_be_read(open_page: OpenPage) -> None:
 def test_every_text_of_a_replay_can_be_read(open_page: OpenPage) -> None:
     with PageServer() as server:
         server.replay = ReplayView(server.begin_s, server.begin_s + 420.0, server.begin_s + 100.0, 1.0)
-        assert_readable(open_page(server.url))
+        server.flight = flown(server.begin_s)
+        page = open_page(server.url)
+        expect(page.locator("#replay .timeline")).to_contain_text("hold")
+        assert_readable(page)
 
 
 def test_every_text_of_before_can_be_read_when_the_server_is_lost(open_page: OpenPage) -> None:

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from yarl import URL
 
-from companion.monitor.api import FleetFileView, History, Snapshot
+from companion.monitor.api import FleetFileView, FlightView, History, Snapshot
 from live_site import Served, recorded, served, until_served
 
 
@@ -26,7 +26,12 @@ def with_server(work: Callable[[Served], Awaitable[None]], lost_after_s: float =
 def test_every_address_answers_with_its_type() -> None:
     async def work(server: Served) -> None:
         await until_served(lambda: _vehicles(server))
-        for path, type_ in (("snapshot", Snapshot), ("history", History), ("fleets/load", FleetFileView)):
+        for path, type_ in (
+            ("snapshot", Snapshot),
+            ("history", History),
+            ("flight", FlightView),
+            ("fleets/load", FleetFileView),
+        ):
             async with server.http.get(f"{server.url}/api/v1/{path}") as response:
                 assert response.content_type == "application/json"
                 msgspec.json.decode(await response.read(), type=type_)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 
 from companion.monitor.api import Seek
@@ -66,3 +68,14 @@ def test_of_many_jumps_at_once_the_last_one_counts(station: Station) -> None:
         station.act(Seek(BEGIN_S + time_s))
     jump(station, 30.0)
     assert station.newest.time_s == BEGIN_S + 30.0
+
+
+def test_the_whole_flight_has_what_is_before_and_after_the_present_time(station: Station) -> None:
+    jump(station, 120.0)
+    flight = asyncio.run(station.flight())
+    assert flight is not None
+    assert [(e.time_s - BEGIN_S, e.code) for e in flight.events if e.kind == "command"] == [(10.0, "hold")]
+    (silent,) = [e.time_s - BEGIN_S for e in flight.events if e.code == "SILENT"]
+    assert silent == pytest.approx(LOST_S + 1.5, abs=0.6)
+    assert flight.leader_ids == {"platoon": (1,)}
+    assert station.newest.time_s == pytest.approx(BEGIN_S + 120.0)  # the replay itself has not moved

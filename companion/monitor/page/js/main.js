@@ -9,6 +9,7 @@ import { FleetMap } from "./map/map.js";
 import { Metrics } from "./metrics.js";
 import { PANELS } from "./panels.js";
 import { Planning } from "./planning.js";
+import { Replaying, watchReplayKeys } from "./replaying.js";
 import { AlarmSound } from "./sound.js";
 import { Store } from "./store.js";
 import { Theme } from "./theme.js";
@@ -33,7 +34,8 @@ const store = new Store();
 const sound = new AlarmSound();
 const metrics = new Metrics();
 const abort = { keys: false };
-const page = { tab: "vehicles", filter: "all", hint: "", speed: 1 };
+const page = { tab: "vehicles", filter: "all", hint: "" };
+const widthPx = { events: 0, replay: 0 }; // of what has a timeline
 let frame = null; // the requested animation frame
 let panelsFrame = null; // likewise, of the panels
 let panelsMs = -Infinity; // when they were drawn
@@ -93,11 +95,6 @@ const act = {
     act.tab("control");
     commanding.abort();
   },
-  replay(message) {
-    if (message.speed) page.speed = message.speed;
-    live.send(message);
-  },
-  lastSpeed: () => page.speed,
 };
 
 const live = new LiveConnection(
@@ -105,7 +102,6 @@ const live = new LiveConnection(
     store.accept(snapshot, nowMs);
     planning.check();
     sound.update(snapshot.alarms, nowMs);
-    if (snapshot.replay?.speed) page.speed = snapshot.replay.speed;
     arrivedMs ??= nowMs;
     store.refreshFile(nowMs, (file) => file.tiles && map.probeTiles(file));
     scheduleMap();
@@ -121,6 +117,8 @@ const live = new LiveConnection(
     schedule();
   },
 );
+
+const replaying = new Replaying(store, (message) => live.send(message), (text) => act.hint(text));
 
 /** All of the page: after an action of the operator. */
 function schedule() {
@@ -160,7 +158,7 @@ function showTab() {
 }
 
 function contextAt(nowMs) {
-  return { store, nowMs, theme, sound, abort, act, commanding, planning, filter: page.filter };
+  return { store, nowMs, theme, sound, abort, act, commanding, planning, replaying, widthPx, filter: page.filter };
 }
 
 function drawMap() {
@@ -193,7 +191,7 @@ function drawPanels() {
   for (const { id, view } of panels) if (view) render(view(context), at(id));
   watchRows();
   render(mapTools({ map, planning, store, commanding }), at("map-tools"));
-  render(help({ controls, dividers, close: () => at("help").close() }), at("help"));
+  render(help({ controls, replays: Boolean(snapshot?.replay), dividers, close: () => at("help").close() }), at("help"));
   render(mapNote({ store, planning }), at("map-note"));
   at("map-attribution").textContent = map.attribution;
   plots.update(theme.colours, document.documentElement.dataset.theme);
@@ -227,6 +225,12 @@ watchAbortKeys(
   },
   () => act.abort(),
 );
+watchReplayKeys(document, store, replaying);
+const sizes = new ResizeObserver((entries) => {
+  for (const { target, contentRect } of entries) widthPx[target.id] = contentRect.width;
+  schedulePanels();
+});
+for (const id of Object.keys(widthPx)) sizes.observe(at(id));
 render(legend(), at("map-legend"));
 showTab();
 setInterval(tick, TICK_MS);

@@ -3,9 +3,10 @@
 import { get } from "./api.js";
 import { Freshness } from "./freshness.js";
 import { History } from "./history.js";
+import { missionOf } from "./mission.js";
 import { Trails } from "./trails.js";
 
-const KEPT_EVENTS = 500;
+const KEPT_EVENTS = 2000; // as many as the server keeps
 const JUMP_S = 3; // a larger step in time is a seek: what came before belongs elsewhere
 const FILE_AGAIN_MS = 5000; // homes change
 const DESCRIBED_AFTER_MS = 2200; // after another reference its leader describes it: DESCRIBED_EVERY of core/report.py
@@ -23,6 +24,7 @@ export class Store {
     this.events = []; // newest first
     this.armed = new Map(); // of each vehicle that waits for its take-off, when it was armed
     this.disarmed = new Map(); // of each that was armed and did not take off, when it was disarmed
+    this.flight = null; // of a replay: what happened in all of it
     this.selected = new Set();
     this.preview = null; // of what has not been sent
     this.drawing = null; // {points, altitudeM, most, active, goes} while points are placed on the map; `active`: a click places one
@@ -33,6 +35,8 @@ export class Store {
     this._historyAsked = false;
     this._historyNextMs = 0; // when it may be asked for again because of missed snapshots
     this._missed = true; // events that only the history has
+    this._flightAsked = false;
+    this._mission = { of: null }; // of these events
   }
 
   get fleetName() {
@@ -54,6 +58,22 @@ export class Store {
 
   get alarms() {
     return this.snapshot?.alarms ?? [];
+  }
+
+  /** missionOf the shown fleet, with its `events`, newest first: in a replay those of the whole flight. */
+  get mission() {
+    const of = this.flight?.events ?? this.events;
+    if (this._mission.of !== of || this._mission.fleet !== this.fleetName) {
+      const events = of.filter((event) => event.fleet === this.fleetName);
+      this._mission = { of, fleet: this.fleetName, events, ...missionOf(events, this._firstLeaders(events)) };
+    }
+    return this._mission;
+  }
+
+  /** Who led before the first change of leader, as far as that is known. */
+  _firstLeaders(events) {
+    if (this.flight) return this.flight.leader_ids[this.fleetName] ?? [];
+    return events.some((event) => event.kind === "leader") ? [] : this.fleet?.leader_ids ?? [];
   }
 
   /** Those that the page can command now. */
@@ -80,11 +100,13 @@ export class Store {
     this.snapshot = snapshot;
     this.arrivedMs = nowMs;
     this.freshness.accept(snapshot, nowMs);
+    if (restarted) this._flightAsked = false;
     if (restarted || jumped) this._forget();
     else if (this._missed && nowMs >= this._historyNextMs) {
       this._historyNextMs = nowMs + HISTORY_AGAIN_MS;
       this.loadHistory();
     }
+    if (snapshot.replay && !this._flightAsked) this._loadFlight();
     this.trails.accept(snapshot);
     this._acceptArmed();
     this.history.accept(snapshot.time_s, this.fleet, this.vehicles);
@@ -120,6 +142,12 @@ export class Store {
     if (!history) return;
     this.history.load(history.points.filter((point) => point.fleet === this.fleetName));
     this._addEvents(history.events);
+  }
+
+  async _loadFlight() {
+    this._flightAsked = true;
+    const flight = await get("flight").catch(() => null);
+    this.flight = flight && { ...flight, events: flight.events.toReversed() };
   }
 
   /** The fleet file, again from time to time because of the homes. Calls `onFile(file)`. */
