@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from companion.assembly import build_agent, check_agent
+from companion.config.degrees import degree_notices
 from companion.config.file import ConfigError
 from companion.config.law import is_built_in, law_of
 from companion.config.vehicle import AgentConfig, load_agent
@@ -101,6 +102,8 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
         notifier = stack.enter_context(closing(Notifier()))
         signed = ", signed" if key else ""
         _log.info("%s of fleet %s, %s%s", config.member.role, config.fleet.name, vehicle.mavlink, signed)
+        for notice in degree_notices(config.fleet.origin, {"fleet": config.fleet, "vehicle": vehicle}):
+            _log.warning("%s", notice)
         if identity is None and config.fleet.security == "none":
             _log.warning("UNSECURED: strangers in the network of the fleet can command this vehicle (security: none)")
         beside: list[Job] = []

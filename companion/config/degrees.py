@@ -13,22 +13,29 @@ from companion.types.notices import Code, Notice
 
 NEAR_ORIGIN_DEG = 0.5
 LOOKS, METRES = "looks like latitude and longitude", "metres east, north and up"
+Origin = GeodeticOrigin | Literal["indoor"]
 POSITIONS = "_enu_m"  # the end of each key that has one or more
 
 
-def degree_notices(origin: GeodeticOrigin | Literal["indoor"], content: Any, where: str = "") -> Iterator[Notice]:
+def degree_notices(origin: Origin, content: Any, where: str = "") -> Iterator[Notice]:
     """A warning about the positions in this content that look like latitude and longitude near the origin.
 
     `where` is the path of the content in its file, like "fleet".
     """
-    found = [(key, position) for key, position in _positions(content, where) if is_in_degrees(origin, position)]
+    found = [(key, position) for key, position in _positions(content, where) if _is_in_degrees(origin, position)]
     if found:
         key, position = found[0]
-        more = f", as {len(found) - 1} more do" if len(found) > 1 else ""
+        more = f", and {len(found) - 1} more" if len(found) > 1 else ""
         yield Notice(Code.LOOKS_LIKE_DEGREES, f"{key}: {list(position)} {LOOKS}{more}; expected {METRES}")
 
 
-def is_in_degrees(origin: GeodeticOrigin | Literal["indoor"], position_enu_m: tuple[float, ...]) -> bool:
+def degree_hint(origin: Origin, *positions_enu_m: tuple[float, ...]) -> str:
+    """The end of a refusal that is because of these positions; empty where none is in degrees."""
+    in_degrees = any(_is_in_degrees(origin, position) for position in positions_enu_m)
+    return f"; it {LOOKS}; expected {METRES}" if in_degrees else ""
+
+
+def _is_in_degrees(origin: Origin, position_enu_m: tuple[float, ...]) -> bool:
     """Both of its first numbers have four decimals or more and are near those of the origin, in any order."""
     if not isinstance(origin, GeodeticOrigin):
         return False

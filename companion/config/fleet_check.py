@@ -9,7 +9,7 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from companion.config.degrees import LOOKS, METRES, is_in_degrees
+from companion.config.degrees import degree_hint
 from companion.config.file import convert, read_as, refuse
 from companion.config.fleet import EdgeNeighbours, FleetConfig
 from companion.config.law import law_problems
@@ -80,12 +80,8 @@ def start_problems(fleet: FleetConfig, starts_enu_m: Mapping[int, Vector3]) -> I
             yield Problem(
                 f"starts_enu_m.{j}",
                 f"{list(starts_enu_m[j])} is {apart_m:.2f} m from the start of vehicle {i};"
-                f" expected at least {CLOSEST_STARTS_M:g} m{_degrees(fleet, starts_enu_m[j])}",
+                f" expected at least {CLOSEST_STARTS_M:g} m{degree_hint(fleet.origin, starts_enu_m[j])}",
             )
-
-
-def _degrees(fleet: FleetConfig, position_enu_m: Vector3) -> str:
-    return f"; it {LOOKS}; expected {METRES}" if is_in_degrees(fleet.origin, position_enu_m) else ""
 
 
 def _members(fleet: FleetConfig, where: str) -> Iterator[Problem]:
@@ -168,7 +164,7 @@ def _slots(fleet: FleetConfig, where: str) -> Iterator[Problem]:
             yield Problem(
                 f"{where}[{index}].slot_enu_m",
                 f"{list(member.slot_enu_m)} of vehicle {member.id} is {apart_m:.2f} m from the slot of vehicle {other_id};"
-                f" expected at least separation_m, {separation_m:g} m{_degrees(fleet, member.slot_enu_m)}",
+                f" expected at least separation_m, {separation_m:g} m{degree_hint(fleet.origin, member.slot_enu_m)}",
             )
         before.append((member.id, slot))
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from math import dist, floor, radians, tan
 from pathlib import Path
 
+from companion.config.degrees import degree_hint
 from companion.config.file import refuse
 from companion.config.fleet import FleetConfig
 from companion.config.reference import Reference
@@ -99,7 +100,8 @@ def _positions(
             yield Problem(
                 f"{where}.{reference.POSITION}",
                 f"puts vehicle {outside[0]} at {name} = {outside[1]:g} m,"
-                f" outside the fence less clearance_m ({low_m:g} to {high_m:g})",
+                f" outside the fence less clearance_m ({low_m:g} to {high_m:g})"
+                + degree_hint(fleet.origin, reference.start_enu_m, slots_enu_m[outside[0]]),
             )
 
 
