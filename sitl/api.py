@@ -24,6 +24,7 @@ from companion.analysis.interaction import FloatArray
 from companion.config.file import ConfigError
 from companion.config.named_files import read_named, with_overrides
 from companion.config.new_formation import inline
+from companion.config.shipped import scenario_file
 from companion.tools.analysis import Analysis, LawAnalysis, analyse
 from companion.tools.subject import subject_of
 from companion.types.errors import UnusableError
@@ -32,7 +33,6 @@ from sitl.compare.options import DEFAULT_SEEDS, CompareOptions
 from sitl.compare.statistics import CellSummary, Checked, Winner
 from sitl.flight.flights import FlightEnd, check_convergence, reference_flown, result_of
 from sitl.flight.scenario import Scenario, load_scenario, scenario_from, with_law
-from sitl.flight.shipped import scenario_file
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
 from sitl.report.metrics import distances_m, errors_m, pair_name, pairs_of, reference_positions_m
 from sitl.report.progress import FlightProgress, ShareProgress

@@ -10,7 +10,6 @@ from companion.cli.options import add_json, add_law, add_overrides
 from companion.cli.program import command
 from companion.types.errors import EXIT_DONE, UnusableError
 
-SHIPPED = Path(__file__).parents[2] / "sitl" / "scenarios"
 EXIT_CONVERGES, EXIT_CANNOT_CONVERGE = 0, 1
 
 
@@ -21,12 +20,6 @@ def _add_analyze(parser: argparse.ArgumentParser) -> None:
     add_law(parser, "analyze it with this law")
     add_overrides(parser, "change one key of the file")
     add_json(parser, "all figures as one JSON object instead of the text")
-
-
-def _file(given: Path) -> Path:
-    """A shipped scenario may be given by its name."""
-    shipped = SHIPPED / f"{given}.yaml"
-    return shipped if not given.suffix and not given.exists() and shipped.is_file() else given
 
 
 def _run_analyze(options: argparse.Namespace) -> int:
@@ -58,13 +51,14 @@ def _run_analyze(options: argparse.Namespace) -> int:
     import msgspec
 
     from companion.config.named_files import law_override
+    from companion.config.shipped import scenario_file
     from companion.tools.analysis import analyse
     from companion.tools.analysis_report import report, verdict
     from companion.tools.output import json_text
     from companion.tools.subject import load_subject
 
     overrides = [*([law_override(options.law)] if options.law else []), *options.overrides]
-    subject = load_subject(_file(options.file), overrides)
+    subject = load_subject(scenario_file(options.file), overrides)
     analysis = analyse(msgspec.structs.replace(subject, file=options.file))  # named as it was given
     if options.json:
         figures = msgspec.to_builtins(analysis) | {"verdict": msgspec.to_builtins(verdict(analysis))}

@@ -113,7 +113,7 @@ def _run_scenarios(_: argparse.Namespace) -> int:
     exit codes: 0 listed
     """
 
-    from sitl.flight.shipped import shipped_lines
+    from companion.config.shipped import shipped_lines
 
     print("\n".join(shipped_lines()))
     return 0

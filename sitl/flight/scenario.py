@@ -28,12 +28,12 @@ from companion.config.planned_flight import (
     starts_of,
 )
 from companion.config.reference import KnownReference, Reference, command_problems
+from companion.config.shipped import scenario_file
 from companion.config.validation import Problem, each, examine, unless_invalid
 from companion.config.values import Drag, HoverThrust, Name, PositionM, Section, VehicleId
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.commands import CommandName
 from sitl.autopilots.types import parameter_problems
-from sitl.flight.shipped import scenario_file
 from sitl.vehicle.config import Links, OwnStandIn, StandIn, StandIns
 
 OPERATORS_ONLY = (CommandName.TAKE, CommandName.ABORT)  # they lead to no phase that could be waited for

@@ -15,11 +15,11 @@ import numpy as np
 
 from companion.analysis.interaction import FloatArray
 from companion.config.law import LawName, law_of
+from companion.config.shipped import SHIPPED
 from companion.types.errors import FailedError
 from companion.types.flight import Role
 from sitl.compare.shapes import is_connected
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
-from sitl.flight.shipped import SHIPPED
 from sitl.flight.virtual_flight import JobProgress, fly_in_virtual_time, lasts_s
 from sitl.paper.graphs import graph_of
 from sitl.report.claim import Claim

@@ -1,4 +1,4 @@
-"""Shipped scenarios: found by their names from any folder, listed, and what a wrong name is told."""
+"""Shipped scenarios: found by their names from any folder, listed, and the answer to a wrong name."""
 
 import sys
 from pathlib import Path
@@ -6,10 +6,11 @@ from pathlib import Path
 import pytest
 
 from common import ROOT
+from companion.cli.main import main as companion_main
 from companion.config.file import ConfigError
+from companion.config.shipped import scenario_file, shipped_lines, shipped_names
 from sitl.cli.main import main
 from sitl.flight.scenario import load_scenario
-from sitl.flight.shipped import scenario_file, shipped_lines, shipped_names
 
 FILES = sorted((ROOT / "config" / "scenarios").glob("*.yaml"))
 
@@ -80,3 +81,8 @@ def test_the_list_has_a_line_for_each(monkeypatch: pytest.MonkeyPatch, capsys: p
         assert line.split()[1:4] == [str(len(scenario.fleet.vehicles)), "vehicles", scenario.fleet.law.name]
         sentence = line.split(maxsplit=4)[4]
         assert scenario.description.startswith(sentence) and sentence.endswith(".")
+
+
+def test_analyze_knows_them_too(capsys: pytest.CaptureFixture[str]) -> None:
+    assert companion_main(["analyze", "plato"]) == 2
+    assert "did you mean platoon or lab_platoon?" in capsys.readouterr().err

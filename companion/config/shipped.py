@@ -9,7 +9,9 @@ from pathlib import Path
 from companion.config.file import ConfigError, read_yaml
 from companion.config.law import LawSection
 
-SHIPPED = Path(__file__).parents[1] / "scenarios"  # package data: a link to config/scenarios in the source tree
+SHIPPED = (
+    Path(__file__).parents[2] / "sitl" / "scenarios"
+)  # package data: a link to config/scenarios in the source tree
 MOST_HINTS = 3
 
 
