@@ -368,3 +368,21 @@ class FlightView(Struct, frozen=True):
 
     events: tuple[EventView, ...]
     leader_ids: dict[str, tuple[int, ...]]
+
+
+class LogFileView(Struct, frozen=True):
+    """A file of a flight on the ground; `GET /api/v1/logs/ID` gives its bytes. `vehicle_id` None: recorded on the ground."""
+
+    id: str
+    name: str
+    vehicle_id: int | None
+    kind: str  # recording, MAVLink (a .tlog), autopilot
+    bytes: int
+    written_s: float  # last change, by the clock of this computer
+
+
+class LogsView(Struct, frozen=True):
+    """`GET /api/v1/logs`: the files of flights in the folder of --record or --replay, the newest first."""
+
+    has_folder: bool
+    files: tuple[LogFileView, ...]

@@ -13,6 +13,7 @@ from companion.ground.session import FleetSession
 from companion.link.byte_links import LinkError
 from companion.monitor import MonitorError, check_fleet_name
 from companion.monitor.commander import Commander
+from companion.monitor.ground_logs import GroundLogs
 from companion.monitor.server import Address, listen_address, serve
 from companion.monitor.sources import LiveSource
 from companion.monitor.station import Station
@@ -77,7 +78,7 @@ def _show_vehicles(options: LivePage, address: Address, tiles: Tiles | None) -> 
             recording = stack.enter_context(closing(_recording(options.record, session, fleet, station)))
             station.listeners.append(recording.listen)
         commander = stack.enter_context(closing(Commander(session, commanded, station.log))) if commanded else None
-        serve(station, commander, address, tiles)
+        serve(station, commander, address, tiles, GroundLogs(options.record))
 
 
 def _recording(folder: Path, session: FleetSession, fleet: FleetConfig | None, station: Station) -> GroundRecording:
@@ -109,7 +110,7 @@ def _show_recording(options: LivePage, folder: Path, address: Address, tiles: Ti
         if options.mavlink is not None:
             shown = options.fleet or next(iter(fleets.values()), None)
             station.views.append(stack.enter_context(_feed(options.mavlink, shown)).forward)
-        serve(station, None, address, tiles)
+        serve(station, None, address, tiles, GroundLogs(folder))
 
 
 def with_file(recorded: dict[str, FleetConfig], options: LivePage) -> dict[str, FleetConfig]:

@@ -38,6 +38,7 @@ from companion.monitor.access import (
 from companion.monitor.api import CommandRequest, ControlView
 from companion.monitor.command_requests import reference_forms
 from companion.monitor.commander import Commander
+from companion.monitor.ground_logs import GroundLogs
 from companion.monitor.station import Station
 from companion.monitor.tiles import DEEPEST_ZOOM, Tiles, content_type
 from companion.types.commands import CommandName
@@ -56,8 +57,16 @@ _encoder = msgspec.json.Encoder()
 class Site:
     """The handlers. `commander` is None without --control; then `token` is not used."""
 
-    def __init__(self, station: Station, commander: Commander | None, token: str, tiles: Tiles | None) -> None:
+    def __init__(
+        self,
+        station: Station,
+        commander: Commander | None,
+        token: str,
+        tiles: Tiles | None,
+        logs: GroundLogs | None = None,
+    ) -> None:
         self._station = station
+        self._logs = logs or GroundLogs()
         self._commander = commander
         self._token = token
         self._tiles = tiles
@@ -79,6 +88,8 @@ class Site:
                 web.get(f"{api}/history", self._history),
                 web.get(f"{api}/flight", self._flight),
                 web.get(f"{api}/fleets/{{name}}", self._fleet),
+                web.get(f"{api}/logs", self._list_logs),
+                web.get(rf"{api}/logs/{{id:[0-9a-f]{{16}}}}", self._log),
                 web.get(f"{api}/control", self._control),
                 web.post(f"{api}/commands", self._command),
                 web.post(f"{api}/preview", self._preview),
@@ -123,6 +134,20 @@ class Site:
             known = ", ".join(self._station.fleet_names) or "none; give one with --fleet-file"
             return error(404, f"this server has no such fleet file; it has: {known}")
         return _json(msgspec.structs.replace(view, tiles=self._tiles.view if self._tiles else None))
+
+    async def _list_logs(self, _request: web.Request) -> web.StreamResponse:
+        return _json(await asyncio.to_thread(self._logs.listed))
+
+    async def _log(self, request: web.Request) -> web.StreamResponse:
+        """A file of the list. The request has no part in its path."""
+        path = await asyncio.to_thread(self._logs.path, request.match_info["id"])
+        if path is None:
+            return error(404, "no such log; GET /api/v1/logs lists them")
+        headers = {
+            "Content-Type": "application/octet-stream",
+            "Content-Disposition": f'attachment; filename="{path.name}"',
+        }
+        return web.FileResponse(path, headers=headers)
 
     async def _acknowledge(self, request: web.Request) -> web.StreamResponse:
         if self._commander and not has_token(request, self._token):
@@ -294,14 +319,22 @@ def listen_address(text: str) -> Address:
     return Address(found[1] or "127.0.0.1", int(found[2]))
 
 
-def serve(station: Station, commander: Commander | None, address: Address, tiles: Tiles | None = None) -> None:
+def serve(
+    station: Station,
+    commander: Commander | None,
+    address: Address,
+    tiles: Tiles | None = None,
+    logs: GroundLogs | None = None,
+) -> None:
     """Until Ctrl-C or SIGTERM. Raises MonitorError."""
-    asyncio.run(_serve(station, commander, address, tiles))
+    asyncio.run(_serve(station, commander, address, tiles, logs))
 
 
-async def _serve(station: Station, commander: Commander | None, address: Address, tiles: Tiles | None) -> None:
+async def _serve(
+    station: Station, commander: Commander | None, address: Address, tiles: Tiles | None, logs: GroundLogs | None
+) -> None:
     token = secrets.token_urlsafe(TOKEN_BYTES) if commander else ""
-    site = Site(station, commander, token, tiles)
+    site = Site(station, commander, token, tiles, logs)
     listening = _listening(address)
     runner = web.AppRunner(
         site.app(address.host), handle_signals=False, access_log=None, logger=_log, shutdown_timeout=CLOSE_WITHIN_S

@@ -33,6 +33,7 @@ from companion.monitor.api import (
     VehicleView,
 )
 from companion.monitor.commander import Commander
+from companion.monitor.ground_logs import GroundLogs
 from companion.monitor.server import Site
 from companion.monitor.sources import LiveSource, ReplaySource, Source
 from companion.monitor.station import Station
@@ -179,12 +180,16 @@ def recorded(seconds: float = 20.0, lost_after_s: float = inf) -> tuple[SteadyFl
 
 @asynccontextmanager
 async def served(
-    source: Source, fleet: FleetConfig, session: FleetSession | None = None, tiles: Path | None = None
+    source: Source,
+    fleet: FleetConfig,
+    session: FleetSession | None = None,
+    tiles: Path | None = None,
+    logs: Path | None = None,
 ) -> AsyncIterator[Served]:
     """With a session commands are accepted."""
     station = Station(source, {fleet.name: fleet}, "anna@ground", may_control=session is not None)
     commander = Commander(session, fleet, station.log) if session else None
-    site = Site(station, commander, TOKEN, open_tiles(tiles) if tiles else None)
+    site = Site(station, commander, TOKEN, open_tiles(tiles) if tiles else None, GroundLogs(logs))
     listening = socket.create_server(("127.0.0.1", 0))
     runner = web.AppRunner(site.app("127.0.0.1"), handle_signals=False, access_log=None, shutdown_timeout=0.5)
     await runner.setup()

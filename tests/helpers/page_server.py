@@ -32,6 +32,7 @@ from companion.monitor.api import (
     History,
     HistoryPoint,
     HistorySample,
+    LogsView,
     MemberView,
     NearestView,
     NeighbourView,
@@ -230,6 +231,7 @@ class PageServer:
         self.alarms: list[AlarmView] = []
         self.events: list[EventView] = []  # taken by the next snapshot
         self.flight = FlightView((), {})  # of a replay
+        self.logs = LogsView(False, ())
         self.replay: ReplayView | None = None
         self.refuse: dict[int, str] = {}  # by vehicle, the reason
         self.no_place = ""  # why a WebSocket is refused
@@ -333,6 +335,7 @@ class PageServer:
                 web.get("/api/v1/live", self._live),
                 web.get("/api/v1/history", self._history),
                 web.get("/api/v1/flight", self._flight),
+                web.get("/api/v1/logs", self._logs),
                 web.get("/api/v1/fleets/{name}", self._fleet),
                 web.get("/api/v1/control", self._control),
                 web.post("/api/v1/commands", self._command),
@@ -387,6 +390,9 @@ class PageServer:
 
     async def _flight(self, _: web.Request) -> web.Response:
         return _json(self.flight)
+
+    async def _logs(self, _: web.Request) -> web.Response:
+        return _json(self.logs)
 
     async def _history(self, _: web.Request) -> web.Response:
         self.histories += 1

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 from msgspec.structs import replace
 
-from companion.monitor.api import FlagView, ReplayView, VehicleView
+from companion.monitor.api import FlagView, LogFileView, LogsView, ReplayView, VehicleView
 from page_server import PageServer, flown
 
 expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missing").expect
@@ -29,6 +29,10 @@ HERE = Path(__file__).parent
 SCRIPTS = [file.read_text(encoding="utf-8") for file in (HERE / "vendor/axe-core/axe.min.js", HERE / "readable.js")]
 LONG_NAME = "a_fleet_with_a_rather_long_name"
 
+LOGS = (
+    LogFileView("0123456789abcdef", "vehicle-3_2026-05-03_14-07-09_log-12.ulg", 3, "autopilot", 48_211_345, 1.78e9),
+    LogFileView("0123456789abcde0", "ground_0042_001.mcap", None, "recording", 211_345, 1.78e9),
+)
 LOW = FlagView("BATTERY_LOW", "warning", "battery below leave_below_percent", "hold", "land it and change its battery")
 
 
@@ -70,6 +74,7 @@ def assert_its_colours_are_readable(page: Page) -> None:
 def test_every_text_of_a_fleet_can_be_read(open_page: OpenPage, state: object) -> None:
     with PageServer(may_control=True) as server:
         server.fleet_name = LONG_NAME
+        server.logs = LogsView(True, LOGS)
         server.change = state
         server.refuse = {3: "vehicle 3 is not armed; it is in hold, with a battery below leave_below_percent"}
         server.alarm(4, "SILENT", text="no report any more; when it last reported: formation, armed")

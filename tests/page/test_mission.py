@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from companion.monitor.api import ReplayView
+from companion.monitor.api import LogFileView, LogsView, ReplayView
 from companion.monitor.events import Given
 from page_server import ANNA, PageServer, flown, until_shown
 
@@ -105,3 +105,20 @@ def test_the_timeline_of_live_vehicles_follows_its_events(open_page: OpenPage) -
         expect(page.locator("#events .mission li")).to_contain_text("accepted by 1, 2, 3, 4")
         server.event("ROLE_CHANGED", "follower -> leader in epoch 2", 3, "leader")
         expect(page.locator("#events .mission li").first).to_contain_text("leader 3: follower -> leader in epoch 2")
+
+
+def test_a_selected_vehicle_has_its_logs_and_how_to_fetch_others(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        page = open_page(server.url)
+        page.locator("tbody.vehicle[data-id='3']").click()
+        logs = page.locator("#details .logs")
+        expect(logs).to_contain_text("The monitor has none")
+        expect(logs).to_contain_text("companion logs --config /etc/companion/vehicle-3.yaml")
+        own = LogFileView("0123456789abcdef", "vehicle_3_0042_001.mcap", 3, "recording", 4_200_000, server.begin_s)
+        other = LogFileView("0123456789abcde0", "vehicle_2_0042_001.mcap", 2, "recording", 4_200_000, server.begin_s)
+        server.logs = LogsView(True, (own, other))
+        page.reload()
+        page.locator("tbody.vehicle[data-id='3']").click()
+        expect(logs.locator("a")).to_have_count(1)
+        expect(logs.locator("a")).to_have_attribute("href", f"api/v1/logs/{own.id}")
+        expect(logs.locator("li")).to_contain_text("recording, 4.2")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from math import inf
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -172,3 +173,45 @@ def test_no_other_method_is_answered(method: str) -> None:
             assert response.status == 405
 
     with_server(work)
+
+
+def test_logs_of_the_folder_are_listed_and_given_by_their_id_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "flights"
+    (folder / "inside").mkdir(parents=True)
+    names = (
+        "vehicle_3_0042_001.mcap",
+        "vehicle_3_0042_001.tlog",
+        "inside/vehicle-2_2026-05-03_log-7.ulg",
+        "ground_0007_001.mcap",
+    )
+    for name in names:
+        (folder / name).write_bytes(name.encode() * 1000)
+    secret = tmp_path / "vehicle_1_0001_001.mcap"
+    secret.write_bytes(b"secret")
+    (folder / "fleet.yaml").write_text("no log")
+    (folder / "vehicle_1_0001_001.mcap").symlink_to(secret)
+
+    async def work(server: Served) -> None:
+        _, listed = await server.get("/api/v1/logs")
+        assert {(one["name"], one["vehicle_id"], one["kind"]) for one in listed["files"]} == {
+            ("vehicle_3_0042_001.mcap", 3, "recording"),
+            ("vehicle_3_0042_001.tlog", 3, "MAVLink"),
+            ("vehicle-2_2026-05-03_log-7.ulg", 2, "autopilot"),
+            ("ground_0007_001.mcap", None, "recording"),
+        }
+        for one in listed["files"]:
+            async with server.http.get(f"{server.url}/api/v1/logs/{one['id']}") as response:
+                assert (await response.read()).count(one["name"].encode()) == 1000
+                assert response.headers["Content-Disposition"] == f'attachment; filename="{one["name"]}"'
+        for other in ("0" * 16, "fleet.yaml", "..%2fvehicle_1_0001_001.mcap", "../vehicle_1_0001_001.mcap", "%2e%2e"):
+            async with server.http.get(URL(f"{server.url}/api/v1/logs/{other}", encoded=True)) as response:
+                assert (response.status, b"secret" in await response.read()) == (404, False), other
+
+    async def run() -> None:
+        load, source = recorded()
+        async with served(source, load.fleet, logs=folder) as server:
+            await work(server)
+        async with served(source, load.fleet) as server:
+            assert await server.get("/api/v1/logs") == (200, {"has_folder": False, "files": []})
+
+    asyncio.run(run())

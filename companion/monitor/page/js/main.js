@@ -104,6 +104,7 @@ const live = new LiveConnection(
     sound.update(snapshot.alarms, nowMs);
     arrivedMs ??= nowMs;
     store.refreshFile(nowMs, (file) => file.tiles && map.probeTiles(file));
+    if (store.selected.size) store.refreshLogs(nowMs);
     scheduleMap();
     if (nowMs - panelsMs >= PANELS_MS) schedulePanels();
   },

@@ -10,6 +10,7 @@ const KEPT_EVENTS = 2000; // as many as the server keeps
 const JUMP_S = 3; // a larger step in time is a seek: what came before belongs elsewhere
 const FILE_AGAIN_MS = 5000; // homes change
 const DESCRIBED_AFTER_MS = 2200; // after another reference its leader describes it: DESCRIBED_EVERY of core/report.py
+const LOGS_AGAIN_MS = 10000;
 const NO_FILE_AGAIN_MS = 60000; // without a fleet file the server answers 404
 const HISTORY_AGAIN_MS = 5000; // a slow connection misses snapshots all the time
 
@@ -24,6 +25,8 @@ export class Store {
     this.events = []; // newest first
     this.armed = new Map(); // of each vehicle that waits for its take-off, when it was armed
     this.disarmed = new Map(); // of each that was armed and did not take off, when it was disarmed
+    this.logs = null; // LogsView: the files of flights on the ground
+    this._logsNextMs = 0; // when they are asked for again
     this.flight = null; // of a replay: what happened in all of it
     this.selected = new Set();
     this.preview = null; // of what has not been sent
@@ -142,6 +145,13 @@ export class Store {
     if (!history) return;
     this.history.load(history.points.filter((point) => point.fleet === this.fleetName));
     this._addEvents(history.events);
+  }
+
+  /** Again from time to time: some are still written. */
+  async refreshLogs(nowMs) {
+    if (nowMs < this._logsNextMs) return;
+    this._logsNextMs = nowMs + LOGS_AGAIN_MS;
+    this.logs = await get("logs").catch(() => this.logs);
   }
 
   async _loadFlight() {

@@ -3,6 +3,7 @@
 import { age, idList, known, metres, number, percent, quantity, vector, NONE } from "../format.js";
 import { html, nothing } from "./lit.js";
 import { prose } from "./prose.js";
+import { logs } from "./logs.js";
 import { symbol } from "./symbol.js";
 
 export function details({ store, nowMs }) {
@@ -14,7 +15,8 @@ export function details({ store, nowMs }) {
       ${vehicle.silent ? html`<strong class="critical">SILENT for ${age(ageS)}: old values</strong>` : nothing}</div>
     ${problems(vehicle)}
     <dl class=${vehicle.silent ? "old" : ""}>${fields(vehicle, ageS).map(([name, value]) => field(name, value))}</dl>
-    ${neighbours(vehicle)}`;
+    ${neighbours(vehicle)}
+    ${logs(store, id)}`;
 }
 
 function field(name, value) {
