@@ -74,7 +74,7 @@ def test_a_replay_shows_the_mission_with_what_is_still_to_come(open_page: OpenPa
         server.flight = flown(server.begin_s)
         page = open_page(server.url)
         line = page.locator("#replay .timeline")
-        expect(line.locator(".span text")).to_have_text(["1", "2", "1 to 2"])
+        expect(line.locator(".span text")).to_have_text(["1", "2", "1", "2"])
         expect(line.locator(".span.later text")).to_have_text(["2"])
         expect(line.locator(".sign")).to_have_count(3)
         expect(line.locator(".sign").first).to_contain_text("✗")

@@ -10,7 +10,7 @@ export function missionOf(events, leaderIds = []) {
   return {
     commands: commandsOf(sorted),
     leaders: leadersOf(of("leader"), leaderIds),
-    formations: grouped(of("formation")).map(([first]) => ({ timeS: first.time_s, name: changed(first.text), text: first.text })),
+    formations: formationsOf(grouped(of("formation"))),
     references: grouped(sorted.filter((event) => event.code === "REFERENCE_CHANGED")).map(([first]) => ({ timeS: first.time_s, text: first.text })),
     alarms: of("alarm").filter((event) => event.outcome !== "ended").map(alarm),
   };
@@ -51,14 +51,14 @@ function given(found, event, name, text) {
   const same = event.vehicle_id !== null && last && event.time_s - last.timeS < TOGETHER_S ? last : null;
   const command = same ?? { timeS: event.time_s, operator: event.operator, name, text, ids: [], answers: new Map() };
   if (!same) found.push(command);
-  if (event.vehicle_id !== null && !command.ids.includes(event.vehicle_id)) command.ids.push(event.vehicle_id);
+  addTo(command.ids, event.vehicle_id);
   return command;
 }
 
 function answered(command, { outcome, vehicle_id: id, text }) {
   const same = command.answers.get(outcome) ?? { ids: [], texts: new Set() };
   command.answers.set(outcome, same);
-  if (id !== null && !same.ids.includes(id)) same.ids.push(id);
+  addTo(same.ids, id);
   same.texts.add(text.replace(/^[^:]*: /, ""));
 }
 
@@ -87,7 +87,15 @@ function alarm({ time_s: timeS, vehicle_id: id, code, text }) {
   return { timeS, id, code, text: `${id === null ? "" : `vehicle ${id}: `}${code} ${text}` };
 }
 
-/** "1 to 2" of "formation 1 -> 2". */
-function changed(text) {
-  return text.replace(/^formation /, "").replace(" -> ", " to ");
+/** The text of a change is "formation 1 -> 2": before the first one, 1 was flown. */
+function formationsOf(groups) {
+  const changes = groups.map(([{ time_s: timeS, text }]) => ({ timeS, text, ends: text.replace("formation ", "").split(" -> ") }));
+  const named = changes.map(({ timeS, text, ends }) => ({ timeS, text, name: ends.at(-1) }));
+  return changes.length ? [{ timeS: -Infinity, text: `formation ${changes[0].ends[0]}`, name: changes[0].ends[0] }, ...named] : [];
+}
+
+function addTo(ids, id) {
+  if (id === null || ids.includes(id)) return;
+  ids.push(id);
+  ids.sort((a, b) => a - b);
 }

@@ -40,6 +40,7 @@ export class Store {
     this._missed = true; // events that only the history has
     this._flightAsked = false;
     this._mission = { of: null }; // of these events
+    this._led = {}; // who led when the page first saw this fleet
   }
 
   get fleetName() {
@@ -76,7 +77,8 @@ export class Store {
   /** Who led before the first change of leader, as far as that is known. */
   _firstLeaders(events) {
     if (this.flight) return this.flight.leader_ids[this.fleetName] ?? [];
-    return events.some((event) => event.kind === "leader") ? [] : this.fleet?.leader_ids ?? [];
+    const changed = events.some((event) => event.kind === "leader" && event.time_s < this._led.timeS);
+    return changed || this._led.fleet !== this.fleetName ? [] : this._led.ids;
   }
 
   /** Those that the page can command now. */
@@ -103,13 +105,17 @@ export class Store {
     this.snapshot = snapshot;
     this.arrivedMs = nowMs;
     this.freshness.accept(snapshot, nowMs);
-    if (restarted) this._flightAsked = false;
+    if (restarted) [this.flight, this._flightAsked] = [null, false];
     if (restarted || jumped) this._forget();
     else if (this._missed && nowMs >= this._historyNextMs) {
       this._historyNextMs = nowMs + HISTORY_AGAIN_MS;
       this.loadHistory();
     }
     if (snapshot.replay && !this._flightAsked) this._loadFlight();
+    if (this._led.fleet !== this.fleetName) {
+      this._led = { fleet: this.fleetName, ids: this.fleet?.leader_ids ?? [], timeS: snapshot.time_s };
+      this._mission.of = null;
+    }
     this.trails.accept(snapshot);
     this._acceptArmed();
     this.history.accept(snapshot.time_s, this.fleet, this.vehicles);
@@ -191,6 +197,7 @@ export class Store {
     this.armed.clear();
     this.disarmed.clear();
     this.events = [];
+    this._led = {};
     this.loadHistory();
   }
 }

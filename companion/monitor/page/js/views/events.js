@@ -12,7 +12,7 @@ const COMMANDS = new Set(["command", "answer"]);
 
 export function events(context) {
   const { filter, act } = context;
-  return html`<div class="heading"><h2>Events and commands</h2>
+  return html`<div class="heading"><h2>Events</h2>
       <div class="chips" role="group" aria-label="Which events">${Object.entries(FILTERS).map(([key, name]) => html`
         <button class="small" aria-pressed=${filter === key} @click=${() => act.filterEvents(key)}>${name}</button>`)}</div></div>
     ${filter === "timeline" ? alongTime(context) : list(context)}`;
