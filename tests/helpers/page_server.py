@@ -234,6 +234,7 @@ class PageServer:
         self.logs = LogsView(False, ())
         self.replay: ReplayView | None = None
         self.refuse: dict[int, str] = {}  # by vehicle, the reason
+        self.most_speed_m_s = 100.0  # of a reference
         self.no_place = ""  # why a WebSocket is refused
         self.drops_protocols = False  # as a proxy that does not know them
         self.paused = False  # nothing is sent, but the connection stays
@@ -423,6 +424,8 @@ class PageServer:
     async def _preview(self, request: web.Request) -> web.Response:
         command = msgspec.json.decode(await request.read(), type=CommandRequest)
         if command.name == "reference":
+            if command.content.get("max_speed_m_s", 0.0) > self.most_speed_m_s:
+                return _json(Preview(refused="too fast", instead={"max_speed_m_s": self.most_speed_m_s}))
             centre = command.content.get("centre_enu_m") or command.content.get("point_enu_m")
             track = (tuple(centre),) if centre else tuple(map(tuple, command.content["points_enu_m"]))
             return _json(Preview(track_enu_m=track, lasts_s=12.0, warning=WARNING))  # type: ignore[arg-type]

@@ -185,6 +185,7 @@ def test_points_are_placed_dragged_and_taken_back_by_touch(open_page: OpenPage) 
 def test_the_fleet_goes_to_a_place_that_is_clicked(open_page: OpenPage) -> None:
     with PageServer(may_control=True) as server:
         stand_still(server)
+        server.most_speed_m_s = 0.7
         page = open_page(server.control_url)
         page.locator("[data-action=go]").click()
         expect(page.locator("#map-note")).to_contain_text("Click where the fleet is to go.")
@@ -195,7 +196,7 @@ def test_the_fleet_goes_to_a_place_that_is_clicked(open_page: OpenPage) -> None:
         page.locator("[data-action=send-reference]").click()
         until_shown(page, lambda: bool(server.commands))
         content = server.commands[0].content
-        assert content["kind"] == "waypoints"
+        assert (content["kind"], content["max_speed_m_s"]) == ("waypoints", 0.7)
         start, end = content["points_enu_m"]
         assert start == [0, 0, 5]
         assert end == pytest.approx([2.0, -1.0, 5.0], abs=0.15)

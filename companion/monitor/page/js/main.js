@@ -134,6 +134,7 @@ function scheduleMap() {
 /** The panel of commands may be longer than its place: what a preview says, and its `Send`, come into sight. */
 function showPreviewed() {
   drawPanels();
+  if (planning.takesAccepted()) document.querySelector("[data-action=use-instead]")?.click();
   document.querySelector(".previewed")?.scrollIntoView({ block: "nearest" });
 }
 

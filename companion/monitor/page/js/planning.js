@@ -14,6 +14,7 @@ export class Planning {
     this._on = on;
     this._steps = []; // what was before each step, for undo
     this._altitudeM = null;
+    this._takesAccepted = false; // of the next answer
   }
 
   get canUndo() {
@@ -65,6 +66,7 @@ export class Planning {
       const here = this._leader()?.reference_enu_m ?? point;
       this._store.drawing = { points: [rounded(here), rounded(point)], altitudeM, most: WAYPOINTS.most, active: false, goes: false };
       kindOf(WAYPOINTS);
+      this._takesAccepted = true;
       this._on.preview("reference");
       return;
     }
@@ -77,6 +79,13 @@ export class Planning {
     this._keep();
     this._setPoint(index, this._store.drawing.points[index].map((old, j) => (j === axis ? value : old)));
     this._commanding.discard();
+  }
+
+  /** Once after each `Go to`: it asks for no speed, so that the vehicles' own is taken where that of the form is refused. */
+  takesAccepted() {
+    const takes = this._takesAccepted;
+    this._takesAccepted = false;
+    return takes;
   }
 
   /** What can be dragged on the map: `at`, ENU in metres. */

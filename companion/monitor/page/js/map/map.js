@@ -96,8 +96,9 @@ export class FleetMap {
     const leaders = [...shown.values()].filter((vehicle) => vehicle.reference_enu_m && !vehicle.silent);
     drawReference(pen, store.file?.reference_enu_m ?? [], leaders);
     this._drawFleet(pen, shown, nowMs);
-    if (store.preview) drawPreview(pen, store.preview);
-    if (store.drawing) drawPoints(pen, store.drawing.points);
+    const points = store.drawing?.points ?? [];
+    if (store.preview) drawPreview(pen, store.preview, points);
+    drawPoints(pen, points);
     drawScaleBar(pen);
     drawNorth(pen);
   }

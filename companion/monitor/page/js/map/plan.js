@@ -10,8 +10,8 @@ export function drawReference(pen, track, leaders) {
   }
 }
 
-/** Paler while it is dragged, and until the vehicles have answered. */
-export function drawPreview(pen, preview) {
+/** Paler while it is dragged, and until the vehicles have answered. `points`: those of the form, which have numbers. */
+export function drawPreview(pen, preview, points) {
   const alpha = preview.pending ? 0.5 : 1;
   for (const path of preview.paths) {
     pen.line([path.from_enu_m, path.to_enu_m], { colour: "accent", width: 2, dash: [8, 5], alpha });
@@ -23,7 +23,7 @@ export function drawPreview(pen, preview) {
     pen.text(String(path.vehicle_id), x, y, { colour: "accent", size: 12, weight: 700 });
   }
   if (preview.track_enu_m.length > 1) pen.line(preview.track_enu_m, { colour: "accent", width: 3, dash: [8, 5], alpha });
-  if (preview.track_enu_m.length) drawPoint(pen, preview.track_enu_m[0], "start");
+  if (preview.track_enu_m.length && !points.length) drawPoint(pen, preview.track_enu_m[0], "start");
 }
 
 export function drawPoints(pen, points) {
