@@ -23,7 +23,7 @@ from companion.types.values import quoted
 
 Arguments = ParamSpec("Arguments")
 T = TypeVar("T")
-LISTED_UP_TO = 8  # keys of a section that an unknown key is answered with
+LISTED_UP_TO = 6  # keys of a section that an unknown key is answered with
 PLAIN_WORDS = {
     "object": "a section with keys",
     "array": "a list",

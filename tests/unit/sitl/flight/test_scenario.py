@@ -71,7 +71,10 @@ def test_an_error_of_a_law_file_names_its_option_and_the_path_as_given(
 
 def test_an_error_beside_a_good_law_names_set() -> None:
     line = error_of(law_override("average_22"), "fleet.law.parameters.exponent=1")
-    assert line == "--set: fleet.law.parameters.exponent: unknown key; take it out"
+    assert (
+        line
+        == "--set: fleet.law.parameters.exponent: unknown key; expected one of position_gain_1_s2, velocity_gain_1_s"
+    )
 
 
 def test_a_fleet_file_takes_a_law() -> None:
