@@ -84,6 +84,8 @@ def test_every_text_of_a_fleet_can_be_read(open_page: OpenPage, state: object) -
             summary.click()
         page.locator("[data-action=hold]").click()
         expect(page.locator(".answer li")).to_have_count(2)  # of vehicle 3, and of the others
+        page.locator("[data-action=preview-formation]").click()
+        expect(page.locator(".previewed")).to_contain_text("smallest separation")
         assert_readable(page)
 
 
