@@ -58,6 +58,7 @@ class Lockstep:
             self._cameras = VirtualCameras(self.stand_ins, self.vehicles, scenario.stand_in)
         self._commands_given = self._checks_given = 0
         self._target_samples = 0
+        self._reseeds = sorted(scenario.stand_in.reseeds, key=lambda one: one.at_s)
 
     def now_s(self) -> float:
         """Virtual time since the start, seconds."""
@@ -129,6 +130,14 @@ class Lockstep:
         for vehicle in self.in_order:
             vehicle.close()
 
+    def reseed(self, seed: str) -> None:
+        """From now on all random numbers are those of this seed."""
+        for stand_in in self.stand_ins:
+            stand_in.autopilot.quad.reseed(f"{seed} {stand_in.vehicle_id}")
+        for paths in self.network.paths.values():
+            for path in paths:
+                path.reseed(seed)
+
     def _step(self) -> None:
         """One step of DT_S of all stand-ins, then the ticks of the agents until the next one, in the order of their times."""
         self._steps += 1
@@ -149,3 +158,5 @@ class Lockstep:
             vehicle.go_on(at_s)
             if (next_s := vehicle.next_s) < next_step_s:
                 heappush(due, (next_s, i))
+        if self._reseeds and self._reseeds[0].at_s <= now_s:
+            self.reseed(self._reseeds.pop(0).seed)

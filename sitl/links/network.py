@@ -25,6 +25,10 @@ class Path:
         self.sender, self.receiver, self.links = sender, receiver, links
         self._random = Random(f"{seed} {sender} {receiver} network")
 
+    def reseed(self, seed: str) -> None:
+        """From now on its random numbers are those of this seed."""
+        self._random.seed(f"{seed} {self.sender} {self.receiver} network")
+
     def is_cut(self, now_s: float) -> bool:
         """Whether a partition separates sender and receiver at this time of the flight."""
         return any(partition.separates(self.sender, self.receiver, now_s) for partition in self.links.partitions)

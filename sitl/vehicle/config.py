@@ -184,6 +184,16 @@ class RallyPoint(Section, frozen=True):
     position_enu_m: PositionM
 
 
+class Reseed(Section, frozen=True):
+    """All random numbers of a flight in virtual time are those of another seed from then on: sensors, gusts and links.
+
+    seed: text; errors and gusts go on from what they are
+    """
+
+    at_s: FlightTime
+    seed: Annotated[str, Meta(min_length=1, max_length=200)]
+
+
 class ModeRefusal(Section, frozen=True):
     """Mode changes that one flying autopilot refuses, as without a position.
 
@@ -275,11 +285,13 @@ class StandIns(StandIn, frozen=True):
     """The simulated vehicles of a scenario, and the wind.
 
     capture_faults: wrong poses of the motion-capture system
+    reseeds: other random numbers from a time on, in virtual time (`sitl gauntlet --rare` writes them)
     vehicles: by id, the keys in which single vehicles differ: autopilot, armable_after_s, airframe, positioning,
         sensors, clock_slow_percent, parameters. All others are as for the whole fleet; parameters only of the same autopilot
     """
 
     capture_faults: tuple[CaptureFault, ...] = ()
+    reseeds: Annotated[tuple[Reseed, ...], Meta(max_length=100)] = ()
     vehicles: dict[VehicleId, dict[str, Any]] = field(default_factory=dict)  # as written: only what differs
 
     def of(self, vehicle_id: int) -> StandIn:

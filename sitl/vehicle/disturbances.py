@@ -14,8 +14,13 @@ class Normals:
     """Standard normal numbers: those of `random.gauss(0.0, 1.0)`, of which one call takes as long as three here."""
 
     def __init__(self, random: Random) -> None:
-        self._uniform = random.random
+        self._random, self._uniform = random, random.random
         self._left: list[float] = []  # they are made in pairs
+
+    def reseed(self, seed: str) -> None:
+        """From now on the numbers are those of this seed."""
+        self._random.seed(seed)
+        self._left = []
 
     def take(self, count: int) -> list[float]:
         """The next `count` numbers."""
@@ -60,6 +65,10 @@ class EstimatorError:
         self.turn = NO_TURN  # from the true attitude to the estimated one
         self.step()
 
+    def reseed(self, seed: str) -> None:
+        """The errors go on from what they are, with the random numbers of this seed."""
+        self._normals.reseed(seed)
+
     def step(self) -> None:
         if self.quiet:
             return
@@ -79,6 +88,10 @@ class Gusts:
         self.quiet = wind.gust_sd_m_s == 0.0  # the mean alone
         self._normals = Normals(random)
         self._gusts = GaussMarkov(self._normals, (wind.gust_sd_m_s,) * 3, wind.gust_time_s, dt_s)
+
+    def reseed(self, seed: str) -> None:
+        """The gusts go on from what they are, with the random numbers of this seed."""
+        self._normals.reseed(seed)
 
     def step(self) -> Vector3:
         if self.quiet:

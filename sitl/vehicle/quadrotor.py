@@ -63,6 +63,11 @@ class Quadrotor:
         x, y, z = (a + origin_noise.gauss(0.0, sd) for a, sd in zip(about, sensors.origin_sd_m, strict=True))
         self.set_origin(geodetic_from_enu((x, y, z), self.world_origin))
 
+    def reseed(self, seed: str) -> None:
+        """Sensor errors and gusts go on from what they are, with the random numbers of this seed."""
+        self._error.reseed(f"{seed} sensors")
+        self._gusts.reseed(f"{seed} gusts")
+
     def set_origin(self, origin_deg_deg_m: Vector3) -> None:
         """Move the origin of the local frame (SET_GPS_GLOBAL_ORIGIN), rounded to the resolution of GPS_GLOBAL_ORIGIN."""
         latitude, longitude, altitude = origin_deg_deg_m
