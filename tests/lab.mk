@@ -14,6 +14,8 @@
 ## make soak       eight vehicles for an hour: memory, files, threads and ticks over time; writes docs/soak.md; SECONDS=300: a short run without the page
 ## make hostile    hostile input for every decoder and for whole agents; writes docs/hostile.md (a quarter of an hour on two cores); HOSTILE=: a minute
 ## make gauntlet   1,000 random flights in virtual time; writes docs/gauntlet.md (over an hour on two cores; Ctrl-C reports those that are complete)
+## make gauntlet-adversarial  searches 5,000 flights for the worst (five hours on two cores; Ctrl-C keeps what is complete)
+## make gauntlet-rare  probability per hour that two vehicles in formation come too close, of four missions (hours)
 ## make verdicts   200 random formations and settings, analysed and flown in virtual time: the table of docs/law.md (half an hour on two cores)
 ## make faults     flies real fleets under every fault and writes the measured table into docs/faults.md (a quarter of an hour)
 ## make link-faults  flies fleets whose computers go silent or lose their network interface, in network namespaces (needs root; some minutes)
@@ -23,7 +25,7 @@
 ## make coverage   lines of the safety code and the separation filter that their tests do not reach; there must be none
 ## make tighten    lowers the budgets of source and tick (tests/unit/budgets.json) to today's figures
 
-.PHONY: bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet verdicts faults link-faults attacks test-external test-vehicles test-fleets coverage tighten
+.PHONY: gauntlet-adversarial gauntlet-rare bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet verdicts faults link-faults attacks test-external test-vehicles test-fleets coverage tighten
 
 LAB = $(BIN)/python -m tests
 
@@ -74,6 +76,12 @@ hostile: .venv/fly.ready
 
 gauntlet: .venv/fly.ready
 	$(BIN)/sitl gauntlet --flights 1000 --seed 1 --out runs/gauntlet --page docs/gauntlet.md
+
+gauntlet-adversarial: .venv/fly.ready
+	$(BIN)/sitl gauntlet --adversarial --flights 5000 --seed $(or $(SEED),1)
+
+gauntlet-rare: .venv/fly.ready
+	$(BIN)/sitl gauntlet --rare all --flights 200
 
 verdicts: .venv/fly.ready
 	$(LAB).bench.verdicts

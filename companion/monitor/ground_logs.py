@@ -11,7 +11,7 @@ from pathlib import Path
 from companion.monitor.api import LogFileView, LogsView
 from companion.recording.files import GROUND, MCAP, NAME, TLOG
 
-MOST_FILES = 10_000  # that are looked at
+MOST_FILES = 2000
 DOWNLOADED = re.compile(r"vehicle-(?P<id>\d{1,3})_[A-Za-z0-9_.-]{1,100}\.(ulg|bin)")  # by `companion logs`
 KINDS = {f".{MCAP}": "recording", f".{TLOG}": "MAVLink"}
 
@@ -35,10 +35,11 @@ class GroundLogs:
         if self._where is None:
             return
         top = self._where if self._where.is_dir() else self._where.parent
-        for path in islice(top.rglob("*"), MOST_FILES) if self._where.is_dir() else (self._where,):
-            vehicle_id = _vehicle_of(path.name)
+        paths = top.rglob("*") if self._where.is_dir() else (self._where,)
+        named = ((path, who) for path in paths if (who := _vehicle_of(path.name)) is not None)
+        for path, vehicle_id in islice(named, MOST_FILES):
             try:
-                if vehicle_id is None or not path.is_file() or not path.resolve().is_relative_to(top.resolve()):
+                if not path.is_file() or not path.resolve().is_relative_to(top.resolve()):
                     continue
                 state = path.stat()
             except OSError:  # removed meanwhile

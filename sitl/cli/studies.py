@@ -189,7 +189,18 @@ def _add_gauntlet(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sensors", choices=("ideal", "default", "px4_sih"), help="of all flights (default: random for each flight)"
     )
+    parser.add_argument(
+        "--rare",
+        metavar="A,B",
+        help="probability per hour that two vehicles come too close, by splitting: of named missions, or all",
+    )
     parser.add_argument("--fleet", type=Path, metavar="FILE", help="fly this fleet instead of random ones")
+    parser.add_argument(
+        "--adversarial", action="store_true", help="search for the worst flights instead of drawing them at random"
+    )
+    parser.add_argument(
+        "--resume", type=Path, metavar="FOLDER", help="go on with the search that was stopped, from its folder"
+    )
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--jobs", type=whole_number(1, MOST_JOBS), metavar="N", help="processes (default: one per core)")
     add_cluster(place)
@@ -215,7 +226,19 @@ def _run_gauntlet(options: argparse.Namespace) -> int:
       sitl gauntlet --families joining,exchange --seed 7   two families only
       sitl gauntlet --sensors ideal --flights 1000 --jobs 4
       sitl gauntlet --fleet fleet.yaml                     your own fleet, with its slots, law and separation_m
+      sitl gauntlet --adversarial --flights 5000           search for the worst flights (five hours on two cores)
+      sitl gauntlet --adversarial --flights 5000 --resume FOLDER
+      sitl gauntlet --rare platoon,exchange --flights 200  probability per hour that two come too close
       sitl gauntlet --external px4 --flights 10            on real autopilots (two minutes a flight)
+
+    --adversarial searches, generation by generation, for the flights that come nearest to a violation: of separation_m, or of
+    fence, obstacles and ground. `combined`, a family of its own, has several faults, wind, bounds of settings and walls at
+    once. The five worst flights are flown again without all that they do not need. Ctrl-C keeps the generations that are
+    complete, and --resume goes on.
+
+    --rare estimates how probable it is in an hour that two vehicles in formation come nearer than separation_m less three
+    sigmas, with loss, delay, gusts and sensor noise: a flight that comes near goes on as four with other random numbers.
+    --flights is the number of first flights of a mission. The nearest flight of each is written as a scenario file.
 
     --external leaves out what only stand-ins can do (pilots, failures, split networks) and fleets of more than six; flights
     land, and each has a folder like that of `sitl fly`.

@@ -14,9 +14,11 @@ from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
 from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from sitl.cluster import workers_of
+from sitl.gauntlet.adversarial import run_search
 from sitl.gauntlet.drawing import numbers_of
-from sitl.gauntlet.faults import ALL_FAMILIES
+from sitl.gauntlet.faults import ALL_FAMILIES, SEARCHED
 from sitl.gauntlet.flight import FlightOutcome, Job, fly
+from sitl.gauntlet.rare import MISSIONS, run_rare
 from sitl.gauntlet.real import REAL_FAMILIES, fly_real_flights
 from sitl.gauntlet.summary import COLUMNS, MEANING, FamilySummary, cells, page, summarize, write_worst
 from sitl.report.folder import results_folder, table_text
@@ -40,6 +42,12 @@ class GauntletReport(Struct, frozen=True, kw_only=True):
 
 def run_gauntlet(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit code. Raises what sitl/cli/main.py reports."""
+    if arguments.rare:
+        return run_rare(
+            arguments, parse_families(None if arguments.rare == "all" else arguments.rare, MISSIONS, "--rare")
+        )
+    if arguments.adversarial or arguments.resume:
+        return run_search(arguments, parse_families(arguments.families, SEARCHED))
     own = load_fleet(arguments.fleet) if arguments.fleet else None
     if arguments.external:
         return _run_real(arguments, own)
@@ -80,12 +88,12 @@ def _run_real(arguments: argparse.Namespace, own: FleetConfig | None) -> int:
     return stop.exit_code if stop.number else code
 
 
-def parse_families(text: str | None, known: Collection[str]) -> tuple[str, ...]:
+def parse_families(text: str | None, known: Collection[str], option: str = "--families") -> tuple[str, ...]:
     """The families named in a comma-separated list; all known ones without one. Raises UnusableError."""
     names = tuple(text.split(",")) if text else tuple(known)
     for name in names:
         if name not in known:
-            raise UnusableError(f"--families: {name!r}, expected some of {', '.join(known)}")
+            raise UnusableError(f"{option}: {name!r}, expected some of {', '.join(known)}")
     return names
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
 from math import cos, pi, sin
 from pathlib import Path
 from random import Random
-from typing import Any
+from typing import Any, Self
 
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
@@ -16,7 +16,7 @@ from companion.types.errors import CompanionError
 from sitl.flight.flights import DivergesError, check_convergence
 from sitl.flight.scenario import Scenario, scenario_from
 from sitl.gauntlet.families import FAMILIES, FORM_S, FamilyPlan, step
-from sitl.gauntlet.faults import ALL_FAMILIES, FAULTS
+from sitl.gauntlet.faults import COMBINED, FAULTS, SEARCHED
 from sitl.gauntlet.fleets import START_SPACING, DrawnFleet, SensorsName, random_fleet, sections, to_thousandth
 
 RUNAWAY_EVERY = 10
@@ -27,6 +27,26 @@ NAMES = tuple(FAMILIES)
 FAULT_NAMES = tuple(FAULTS)
 FAULTS_FROM = 1_000_000
 """Number of the first flight of FAULTS: those of the other families keep the numbers, and thus the bits, of before."""
+COMBINED_FROM = 2_000_000  # likewise
+
+
+class Chosen(Random):
+    """Draws the given numbers, 0 to 1, in their order, then random ones: each draw of a family can be searched over."""
+
+    def __new__(cls, _seed: str, _choices: Sequence[float]) -> Self:
+        return super().__new__(cls)
+
+    def __init__(self, seed: str, choices: Sequence[float]) -> None:
+        super().__init__(seed)
+        self._left = iter(choices)
+
+    def random(self) -> float:
+        given = next(self._left, None)
+        return super().random() if given is None else given
+
+    def _randbelow(self, n: int) -> int:
+        """What choice, sample, shuffle and randrange call; a neighbouring number chooses the same or the next item."""
+        return int(self.random() * n)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +75,8 @@ def family_of(number: int) -> str:
     """The family of a flight; it depends on its number alone."""
     if number < FAULTS_FROM:
         return NAMES[number % len(NAMES)]
+    if number >= COMBINED_FROM:
+        return COMBINED
     return FAULT_NAMES[(number - FAULTS_FROM) % len(FAULT_NAMES)]
 
 
@@ -70,12 +92,22 @@ def has_runaway(number: int) -> bool:
     return number % RUNAWAY_EVERY == RUNAWAY_EVERY - 1
 
 
-def draw_flight(seed: int, number: int, sensors: SensorsName | None = None, own: FleetConfig | None = None) -> Drawn:
-    """The flight with this seed and number, of a user's own fleet if one is given. Raises NoFlightError."""
-    random, last = Random(f"{seed} {number} gauntlet"), ""
+def draw_flight(
+    seed: int,
+    number: int,
+    sensors: SensorsName | None = None,
+    own: FleetConfig | None = None,
+    choices: Sequence[float] = (),
+) -> Drawn:
+    """The flight with this seed and number, of a user's own fleet if one is given. Raises ImpossibleFlightError.
+
+    The first draws are `choices`.
+    """
+    source, last = f"{seed} {number} gauntlet", ""
+    random = Chosen(source, choices) if choices else Random(source)
     for _ in range(DRAWS):
         fleet = random_fleet(random, sensors, own)
-        plan = ALL_FAMILIES[family_of(number)](random, fleet)
+        plan = SEARCHED[family_of(number)](random, fleet)
         content, runaway = _content(random, fleet, plan, has_runaway(number))
         content["description"] = f"Flight {number} of the gauntlet with seed {seed}, {family_of(number)}."
         try:

@@ -1,12 +1,12 @@
 """Families of flights in which something fails or is extreme: the kinds of flights in which vehicles once came too close.
 
 Vehicles that leave a moving formation, split networks, late telemetry, lost GPS, shared homes and settings at their bounds.
-Most take what else happens from the other families.
+Most take what else happens from the other families. `combined` has several of them at once; only the search flies it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from random import Random
 
 from sitl.gauntlet.families import (
@@ -50,7 +50,7 @@ def hold_in_motion(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     plan = FamilyPlan({"kind": "waypoints", "points_enu_m": points, **limits}, lasts_s=32.0, judges_hand_over=True)
     first_s, gap_s = random.uniform(3.5, 9.0), random.choice((0.0, random.uniform(0.3, 2.0)))
     leaving = random.sample(fleet.ids, random.choice((1, 1, 2)))
-    leave = random.choice((_commanded("hold"), _commanded("land"), _commanded("return"), _piloted, _low_battery))
+    leave = random.choice(LEAVE)
     for index, vehicle_id in enumerate(leaving):
         leave(random, plan, vehicle_id, to_thousandth(first_s + index * gap_s))
     plan.expected = [i for i in fleet.ids if i not in leaving]
@@ -114,11 +114,15 @@ def _split(random: Random, fleet: DrawnFleet, plan: FamilyPlan, from_s: float, l
 def late_telemetry(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """The telemetry of one or two vehicles arrives 0.1 to 1 s late for some seconds."""
     plan = _something(random, fleet)
+    _delay_telemetry(random, fleet, plan)
+    return plan
+
+
+def _delay_telemetry(random: Random, fleet: DrawnFleet, plan: FamilyPlan) -> None:
     plan.judges_hand_over = True
     late = random.sample(fleet.ids, random.choice((1, 1, 2)))
     plan.links["late_telemetry"] = [_late(random, vehicle_id) for vehicle_id in late]
-    plan.expected = [i for i in fleet.ids if i not in late]
-    return plan
+    _expect_without(fleet, plan, late)
 
 
 def _late(random: Random, vehicle_id: int) -> Content:
@@ -130,6 +134,11 @@ def _late(random: Random, vehicle_id: int) -> Content:
 def lost_gps(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """One vehicle loses GPS in flight and dead-reckons, until it has landed or for some seconds."""
     plan = _something(random, fleet)
+    _lose_gps(random, fleet, plan)
+    return plan
+
+
+def _lose_gps(random: Random, fleet: DrawnFleet, plan: FamilyPlan) -> None:
     plan.judges_hand_over = True
     lost = random.choice(fleet.ids)
     from_s = random.uniform(1.0, 12.0)
@@ -138,14 +147,19 @@ def lost_gps(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     if random.random() < 0.4:
         loss["until_s"] = at(from_s + random.uniform(1.0, 10.0))
     plan.stand_in["position_losses"] = [loss]
-    plan.expected = [i for i in fleet.ids if i != lost]
-    return plan
+    _expect_without(fleet, plan, [lost])
 
 
 def _something(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """A flight in which all vehicles are in formation, and move."""
     situations = (formation_change, form_crossing, exchange, turning, fast, reference_step, reference_handover)
     return random.choice(situations)(random, fleet)
+
+
+def _expect_without(fleet: DrawnFleet, plan: FamilyPlan, out: Collection[int]) -> None:
+    """These vehicles need not be in their slots at the end."""
+    before = fleet.ids if plan.expected is None else plan.expected
+    plan.expected = [i for i in before if i not in out]
 
 
 # ---------------------------------------------------------------- homes
@@ -202,12 +216,68 @@ def settings_at_bounds(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     if random.random() < 0.15 and fleet.own is None:
         fleet.separation_m = fleet.spacing_m  # as far as the slots are apart
     plan = _something(random, fleet)
-    for key in random.sample(list(BOUNDS), random.choice((1, 2, 3))):
-        plan.settings[key] = random.choice(BOUNDS[key])
+    _set_to_bounds(random, fleet, plan)
     if random.random() < 0.3:
         plan = _split(random, fleet, plan, random.uniform(1.0, 14.0), random.uniform(1.0, 2.0))
     return plan
 
+
+def _set_to_bounds(random: Random, _fleet: DrawnFleet, plan: FamilyPlan) -> None:
+    for key in random.sample(list(BOUNDS), random.choice((1, 2, 3))):
+        plan.settings[key] = random.choice(BOUNDS[key])
+
+
+# ---------------------------------------------------------------- several at once
+
+WIND_M_S, GUST_SD_M_S, GUST_TIME_S = 6.0, 1.5, (0.5, 4.0)
+FENCE_ROOM_M, CEILING_ROOM_M = (2.0, 8.0), (1.5, 4.0)  # beyond all places at which vehicles are to be
+OBSTACLE_RADIUS_M, OBSTACLE_AWAY_M = (0.3, 2.0), (2.0, 10.0)
+
+
+def combined(random: Random, fleet: DrawnFleet) -> FamilyPlan:
+    """Two to four things happen in one flight: splits, vehicles that leave, late telemetry, lost GPS, wind, bounds, walls."""
+    plan = _something(random, fleet)
+    for happens in random.sample(DISTURBANCES, random.choice((2, 3, 4))):
+        happens(random, fleet, plan)
+    if "wind" in plan.stand_in:
+        plan.settings.pop("envelope.max_tilt_deg", None)  # with a small tilt no vehicle stays in a wind
+    return plan
+
+
+def _split_network(random: Random, fleet: DrawnFleet, plan: FamilyPlan) -> None:
+    _split(random, fleet, plan, random.uniform(1.0, 14.0), random.uniform(1.0, 4.8))
+
+
+def _lose_vehicle(random: Random, fleet: DrawnFleet, plan: FamilyPlan) -> None:
+    plan.judges_hand_over = True
+    vehicle_id = random.choice(fleet.ids)
+    LEAVE[random.randrange(len(LEAVE))](random, plan, vehicle_id, to_thousandth(random.uniform(1.0, 14.0)))
+    _expect_without(fleet, plan, [vehicle_id])
+
+
+def _blow(random: Random, _fleet: DrawnFleet, plan: FamilyPlan) -> None:
+    mean = direction(random, random.uniform(0.0, WIND_M_S))
+    gusts = {"gust_sd_m_s": random.uniform(0.0, GUST_SD_M_S), "gust_time_s": random.uniform(*GUST_TIME_S)}
+    plan.stand_in["wind"] = {"mean_enu_m_s": list(mean), **{key: to_thousandth(value) for key, value in gusts.items()}}
+
+
+def _confine(random: Random, fleet: DrawnFleet, plan: FamilyPlan) -> None:
+    """A fence close round the starts and the slots, and an obstacle. What the fleet cannot fly in it is refused."""
+    places = [*fleet.starts_enu_m.values(), *fleet.slots_enu_m.values()]
+    room_m = random.uniform(*FENCE_ROOM_M)
+    lows = [to_thousandth(min(place[axis] for place in places) - room_m) for axis in (0, 1)]
+    highs = [to_thousandth(max(place[axis] for place in places) + room_m) for axis in (0, 1)]
+    top_m = fleet.height_m + max(place[2] for place in places) + random.uniform(*CEILING_ROOM_M)
+    plan.settings["envelope.fence_min_enu_m"] = [*lows, -1.0]
+    plan.settings["envelope.fence_max_enu_m"] = [*highs, to_thousandth(top_m)]
+    centre = direction(random, random.uniform(*OBSTACLE_AWAY_M))
+    radius_m = to_thousandth(random.uniform(*OBSTACLE_RADIUS_M))
+    obstacle = {"kind": "cylinder", "centre_enu_m": list(centre[:2]), "radius_m": radius_m, "top_m": 20.0}
+    plan.settings["obstacles"] = [obstacle]
+
+
+LEAVE = (_commanded("hold"), _commanded("land"), _commanded("return"), _piloted, _low_battery)
+DISTURBANCES = (_split_network, _lose_vehicle, _delay_telemetry, _lose_gps, _blow, _set_to_bounds, _confine)
 
 FAULTS: dict[str, Family] = {
     "hold_in_motion": hold_in_motion,
@@ -221,3 +291,5 @@ FAULTS: dict[str, Family] = {
 """7 of them, which has no factor in common with the 10 of the runaways either."""
 
 ALL_FAMILIES = FAMILIES | FAULTS
+COMBINED = combined.__name__
+SEARCHED = ALL_FAMILIES | {COMBINED: combined}

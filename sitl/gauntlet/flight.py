@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from companion.analysis.interaction import FloatArray
 from companion.config.fleet import FleetConfig
+from companion.geometry.airspace import Airspace
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.values import Vector3
@@ -39,11 +40,13 @@ class Job(Struct, frozen=True):
     number: int
     sensors: SensorsName | None = None
     own: FleetConfig | None = None
+    choices: tuple[float, ...] = ()
 
 
 class FlightOutcome(Struct, frozen=True, kw_only=True):
     """One flight. `ratio`: smallest distance of the pairs that count, in units of `separation_m`; None: none counted.
 
+    `room`: the smallest distance of a vehicle that an agent commands to fence, obstacles and ground; None: none was.
     `exception` is a whole traceback, "" without one. `codes` are those of all events, each once, in order.
     """
 
@@ -58,6 +61,7 @@ class FlightOutcome(Struct, frozen=True, kw_only=True):
     runaway: int | None = None
     ratio: float | None = None
     distances: Distances | None = None
+    room: LeastRoom | None = None
     violation: bool = False
     arrivals: SlotArrivals | None = None
     undisturbed_s: dict[int, float | None] = {}
@@ -72,7 +76,7 @@ def fly(job: Job) -> FlightOutcome:
     """Draw and fly one flight. An exception of the flight is part of the outcome."""
     began_s = time.process_time()
     try:
-        flight = draw_flight(job.seed, job.number, job.sensors, job.own)
+        flight = draw_flight(job.seed, job.number, job.sensors, job.own, job.choices)
     except ImpossibleFlightError as error:
         return FlightOutcome(seed=job.seed, number=job.number, family=family_of(job.number), failure=str(error))
     return fly_drawn(job, flight, began_s)
@@ -98,13 +102,16 @@ def fly_drawn(job: Job, flight: Drawn, began_s: float) -> FlightOutcome:
         return replace(known, exception=traceback.format_exc(), cpu_s=_cpu_s(began_s))
     found, arrived = distances(flown.stand_ins, flight.handed_over), arrivals(flight, flown)
     ratio = found.commanded.distance_m / scenario.fleet.separation_m if found.commanded else None
+    room = least_room(flown.stand_ins, scenario.fleet.airspace)
     return replace(
         known,
         ratio=ratio,
         distances=found,
-        violation=ratio is not None and ratio < SENSOR_FACTOR[sensors],
+        room=room,
+        violation=(ratio is not None and ratio < SENSOR_FACTOR[sensors])
+        or (room is not None and room.distance_m < -INTRUSION_M[sensors]),
         arrivals=arrived,
-        undisturbed_s=_undisturbed_s(flight, arrived),
+        undisturbed_s={} if job.choices else _undisturbed_s(flight, arrived),
         refusals=flown.refusals,
         codes=list(dict.fromkeys(event.code for event in flown.watch.events)),
         failure=flown.failure or "",
@@ -179,6 +186,34 @@ def distances(stand_ins: Sequence[VirtualStandIn], handed_over: Collection[int] 
                 time_s = round(float(tracks[i].time_s[row]), 3)
                 closest[kind] = Closest(distance_m=round(float(apart_m[row]), 4), time_s=time_s, vehicles=(i, j))
     return Distances(commanded=closest[True], automatic=closest[False])
+
+
+INTRUSION_M = {"ideal": 0.05, "default": 0.2, "px4_sih": 0.5}
+"""What a true position may be beyond the fence, an obstacle or the ground, by the sensors: errors of tracking and position."""
+ROOM_EVERY = 5  # rows of the track, 10 Hz
+
+
+class LeastRoom(Struct, frozen=True, kw_only=True):
+    """The smallest distance of a vehicle to the fence, an obstacle or the ground; negative beyond it."""
+
+    distance_m: float
+    time_s: float
+    vehicle: int
+
+
+def least_room(stand_ins: Sequence[VirtualStandIn], airspace: Airspace) -> LeastRoom | None:
+    """Of all vehicles, while agents command them; at 10 Hz."""
+    least: LeastRoom | None = None
+    to_walls = replace(airspace, clearance_m=0.0)
+    for stand_in in stand_ins:
+        track, commanded = stand_in.track(), stand_in.commanded()
+        for row in np.flatnonzero(commanded)[::ROOM_EVERY]:
+            x, y, z = map(float, track.position_enu_m[row])
+            distance_m = min(to_walls.room_m((x, y, z)), z - stand_in.ground_m)
+            if least is None or distance_m < least.distance_m:
+                time_s = round(float(track.time_s[row]), 3)
+                least = LeastRoom(distance_m=round(distance_m, 4), time_s=time_s, vehicle=stand_in.vehicle_id)
+    return least
 
 
 def _since(first: BoolArray) -> BoolArray:

@@ -25,6 +25,7 @@ from sitl.gauntlet.families import FAMILIES
 from sitl.gauntlet.faults import ALL_FAMILIES, FAULTS
 from sitl.gauntlet.flight import UNDISTURBED_EVERY, Job, distances, fly
 from sitl.gauntlet.real import draw_real, outcome_of
+from sitl.gauntlet.search import read_search
 from sitl.gauntlet.summary import write_worst
 from sitl.report.metrics import Track
 from sitl.report.progress import FlightProgress
@@ -158,6 +159,31 @@ def test_the_command_flies_a_users_fleet(tmp_path: Path, capsys: pytest.CaptureF
     shown = capsys.readouterr().out
     assert "form_near" in shown
     assert "reference_step" in shown
+
+
+@pytest.mark.long
+def test_a_search_goes_on_and_keeps_the_worst_flights(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sitl.gauntlet.search.POPULATION", 2)
+    monkeypatch.setattr("sitl.gauntlet.adversarial.KEPT", 1)
+    given = ["--adversarial", "--families", "form_near", "--sensors", "ideal", "--seed", "5"]
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert GAUNTLET.run(arguments(*given, "--flights", "4", "--out", str(whole))) == EXIT_DONE
+    assert GAUNTLET.run(arguments(*given, "--flights", "2", "--out", str(parts))) == EXIT_DONE
+    assert GAUNTLET.run(arguments(*given, "--flights", "4", "--resume", str(parts))) == EXIT_DONE
+    searches = [read_search(folder) for folder in (whole, parts)]
+    found = [[point.score for point in search.worst(9)] for search in searches]
+    assert found[0] == found[1] and searches[0].generation == 2
+    shown = capsys.readouterr().out
+    assert "4 flights in 2 generations" in shown
+    (file,) = whole.glob("*.yaml")
+    assert f"sitl run {file}" in shown
+    ratio = searches[0].worst(1)[0].outcome.ratio
+    flown = distances(fly_without_landing(load_scenario(file), FlightProgress("test", True, 0.0)).stand_ins)
+    assert flown.commanded is not None and ratio is not None
+    separation_m = load_scenario(file).fleet.separation_m
+    assert flown.commanded.distance_m / separation_m == pytest.approx(ratio, abs=0.02 + 1e-3)
 
 
 def test_an_unknown_family_is_refused() -> None:

@@ -28,7 +28,7 @@ def assert_sought(page: Page, server: PageServer, offset_s: float) -> None:
     until_shown(page, f"Math.abs(document.querySelector('#replay input').value - {offset_s}) < 0.3")
 
 
-def test_a_replay_jumps_and_changes_its_speed_by_buttons_and_keys(open_page: OpenPage) -> None:
+def test_a_replay_jumps_to_events_and_findings_by_buttons_and_keys(open_page: OpenPage) -> None:
     with PageServer() as server:
         server.replay = ReplayView(server.begin_s, server.begin_s + LASTS_S, server.begin_s + 60.0, 0.0)
         server.flight = flown(server.begin_s)
@@ -50,20 +50,22 @@ def test_a_replay_jumps_and_changes_its_speed_by_buttons_and_keys(open_page: Ope
         assert_sought(page, server, 250.0)
         page.keyboard.press("Shift+L")
         expect(page.locator("#hint")).to_contain_text("No finding after this time.")
-        assert_speeds(page, server)
 
 
-def assert_speeds(page: Page, server: PageServer) -> None:
-    for key, speed in (("k", 1.0), ("u", 0.5), ("u", 0.25), ("u", 0.25), ("o", 0.5), ("k", 0.0), ("k", 0.5)):
-        page.keyboard.press(key)
-        until_shown(page, lambda speed=speed: server.replay.speed == speed)
-        expect(page.locator("#replay .play")).to_contain_text("Pause" if speed else "Play")
-    page.locator("#replay select").select_option("16")
-    until_shown(page, lambda: server.replay.speed == 16.0)
-    page.locator("#replay select").focus()
-    page.keyboard.press("k")  # a letter chooses in a list
-    page.wait_for_timeout(150)
-    assert server.replay.speed != 0.0
+def test_the_speed_of_a_replay_is_chosen_by_keys_too(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        server.replay = ReplayView(server.begin_s, server.begin_s + LASTS_S, server.begin_s + 60.0, 0.5)
+        page = open_page(server.url)
+        for key, speed in (("u", 0.25), ("u", 0.25), ("o", 0.5), ("k", 0.0), ("k", 0.5)):
+            page.keyboard.press(key)
+            until_shown(page, lambda speed=speed: server.replay.speed == speed)
+            expect(page.locator("#replay .play")).to_contain_text("Pause" if speed else "Play")
+        page.locator("#replay select").select_option("16")
+        until_shown(page, lambda: server.replay.speed == 16.0)
+        page.locator("#replay select").focus()
+        page.keyboard.press("k")  # a letter chooses in a list
+        page.wait_for_timeout(150)
+        assert server.replay.speed != 0.0
 
 
 def test_a_replay_shows_the_mission_with_what_is_still_to_come(open_page: OpenPage) -> None:

@@ -71,6 +71,7 @@ def test_a_family_of_stand_ins_is_refused_by_name() -> None:
 
 def test_a_missing_program_ends_it_before_the_first_flight(tmp_path: Path) -> None:
     options = Namespace(fleet=None, external="px4", families="exchange", seed=1, flights=2, quiet=True, out=tmp_path)
+    options.rare, options.adversarial, options.resume = None, False, None
     options.binary, options.sensors = [tmp_path / "px4_gone"], "ideal"
     with pytest.raises(UnusableError, match=r"^--sensors: are those of the autopilots"):
         run_gauntlet(options)

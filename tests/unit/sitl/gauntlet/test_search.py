@@ -1,0 +1,108 @@
+"""The search for the worst flights: its draws, its repeatability, and that it finds what random flights do not."""
+
+from __future__ import annotations
+
+from math import dist
+from pathlib import Path
+from random import Random
+
+import msgspec
+import pytest
+
+from companion.types.errors import UnusableError
+from sitl.flight.scenario import Scenario
+from sitl.gauntlet.drawing import COMBINED_FROM, Chosen, draw_flight, has_runaway
+from sitl.gauntlet.faults import COMBINED, SEARCHED
+from sitl.gauntlet.flight import FlightOutcome, Job, LeastRoom
+from sitl.gauntlet.minimal import TAKE_OFF_STEPS, _simpler
+from sitl.gauntlet.search import DRAWS, NO_PAIR, Search, read_search, score_of, write_search
+from sitl.vehicle.config import Wind
+
+
+def test_given_draws_come_first_and_near_ones_choose_alike() -> None:
+    assert [Chosen("1", [0.25, 0.5]).random() for _ in range(2)] == [0.25, 0.25]
+    chosen = Chosen("1", [0.25, 0.5, 0.999])
+    assert (chosen.uniform(2.0, 6.0), chosen.choice("abcd"), chosen.randrange(10)) == (3.0, "c", 9)
+    assert chosen.random() == Random("1").random()  # the draws after them follow from the seed
+    assert {Chosen("1", [x]).choice("abcd") for x in (0.51, 0.6, 0.74)} == {"c"}
+
+
+@pytest.mark.parametrize("family", [COMBINED, "exchange", "settings_at_bounds"])
+def test_the_draws_decide_the_flight(family: str) -> None:
+    search = Search(seed=5, sensors=None, families=(family,))
+    jobs = search.next_jobs()
+    flights = [draw_flight(job.seed, job.number, job.sensors, None, job.choices) for job in jobs]
+    again = [draw_flight(job.seed, job.number, job.sensors, None, job.choices) for job in search.next_jobs()]
+    assert flights == again
+    assert {flight.family for flight in flights} == {family}
+    assert any(has_runaway(job.number) for job in jobs)
+    assert len({flight.scenario.fleet.separation_m for flight in flights}) > len(flights) // 2
+
+
+def test_a_combined_flight_has_wind_walls_and_several_faults() -> None:
+    scenarios = [draw_flight(1, COMBINED_FROM + k).scenario for k in range(40)]
+    assert any(one.stand_in.wind != Wind() for one in scenarios)
+    assert any(one.fleet.obstacles for one in scenarios)
+    assert any(one.links.partitions and one.stand_in.position_losses for one in scenarios)
+
+
+def outcome(job: Job, ratio: float) -> FlightOutcome:
+    return FlightOutcome(seed=job.seed, number=job.number, family="exchange", vehicles=4, sensors="ideal", ratio=ratio)
+
+
+def flown(job: Job) -> FlightOutcome:
+    """Worst, 1.0, where eight of the draws are near 0.9: one in 10^5 random flights is within 0.2 of it."""
+    return outcome(job, 1.0 + dist(job.choices[10:18], [0.9] * 8))
+
+
+def test_the_search_comes_nearer_than_as_many_random_flights(tmp_path: Path) -> None:
+    search = Search(seed=1, sensors="ideal", families=("exchange",))
+    while search.generation < 40:
+        jobs = search.next_jobs()
+        search.take(jobs, [flown(job) for job in jobs])
+        write_search(tmp_path, search)
+        search = read_search(tmp_path)  # a search that was stopped goes on the same way
+    random = Random(1)
+    drawn = min(dist([random.random() for _ in range(8)], [0.9] * 8) for _ in range(search.flights))
+    assert search.worst(1)[0].score - 1.0 < 0.5 * drawn
+    assert [point.score for point in search.worst(5)] == sorted(point.score for point in search.worst(5))
+
+
+def test_a_search_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UnusableError, match=r"^--resume: .*search.json: expected the state of a search"):
+        read_search(tmp_path)
+    state = msgspec.to_builtins(Search(seed=1, sensors=None, families=())) | {"schema": 9}
+    (tmp_path / "search.json").write_bytes(msgspec.json.encode(state))
+    with pytest.raises(UnusableError, match=r"schema: 9, expected 1$"):
+        read_search(tmp_path)
+
+
+def test_the_score_is_the_smallest_share_of_what_is_allowed() -> None:
+    job = Job(1, 0, choices=(0.5,) * DRAWS)
+    assert score_of(outcome(job, 0.9)) == 0.9
+    near_wall = msgspec.structs.replace(outcome(job, 1.5), room=LeastRoom(distance_m=-0.15, time_s=3.0, vehicle=2))
+    assert score_of(near_wall) == pytest.approx(0.9)
+    assert score_of(msgspec.structs.replace(near_wall, sensors="default")) == pytest.approx(1.05)
+    assert score_of(FlightOutcome(seed=1, number=0, family="exchange", failure="cannot be flown")) == NO_PAIR
+    assert score_of(FlightOutcome(seed=1, number=0, family="exchange", vehicles=4, exception="Traceback")) == 0.0
+
+
+@pytest.mark.parametrize(
+    "family", [name for name in SEARCHED if name in (COMBINED, "leader_dies", "split_in_exchange")]
+)
+def test_each_simpler_scenario_lacks_one_thing(family: str) -> None:
+    job = Search(seed=5, sensors=None, families=(family,)).next_jobs()[1]
+    scenario = draw_flight(job.seed, job.number, None, None, job.choices).scenario
+    count = sum(1 for _ in _simpler(scenario))
+    while left := list(_simpler(scenario)):
+        assert len(left) == count
+        assert all(one != scenario for one in left)
+        assert {_ends_s(one) for one in left} == {_ends_s(scenario)}
+        scenario, count = left[0], count - 1
+    assert len(scenario.timeline) == TAKE_OFF_STEPS
+    assert scenario.links == type(scenario.links)()
+
+
+def _ends_s(scenario: Scenario) -> float:
+    last = scenario.timeline[-1]
+    return round((last.at_s or 0.0) + last.for_s, 3)
