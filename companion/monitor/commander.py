@@ -181,11 +181,11 @@ class Commander:
     def _logged(self, result: CommandResult, given: Given) -> CommandResult:
         if result.error:
             code = Code.NO_REPLY if result.answers else Code.NOT_SENT
-            outcome = given._replace(outcome=AnswerKind.MISSING if result.answers else AnswerKind.NOT_SENT)
+            outcome = given.answered(AnswerKind.MISSING if result.answers else AnswerKind.NOT_SENT)
             self._log(self._fleet.name, None, "answer", code, f"{result.name}: {result.error}", outcome)
         for answer in result.answers:
             text = f"{result.name} {answer.kind}: {answer.text}"
-            outcome = given._replace(outcome=answer.kind)
+            outcome = given.answered(answer.kind)
             self._log(self._fleet.name, answer.vehicle_id, "answer", answer.code, text, outcome)
         return result
 

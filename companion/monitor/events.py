@@ -25,6 +25,10 @@ class Given(NamedTuple):
     command: str = ""
     outcome: str = ""
 
+    def answered(self, outcome: str) -> Given:
+        """Of an answer to this command."""
+        return self._replace(outcome=outcome)
+
 
 NOTHING_GIVEN = Given()
 

@@ -502,7 +502,7 @@ def flown(begin_s: float, fleet: str = "ring") -> FlightView:
         given = Given(ANNA, f"{ANNA}/{i}/7")
         happened.append(at(50.0 + i / 100.0, "command", i, "hold", f"{ANNA}: hold", given))
         outcome, reason = ("accepted", "holds") if i == 1 else ("refused", "it is not armed")
-        answer = given._replace(outcome=outcome)
+        answer = given.answered(outcome)
         happened.append(at(50.1 + i / 100.0, "answer", i, "CODE", f"{outcome} for {ANNA}: {reason}", answer))
     happened += [at(100.0 + i / 100.0, "formation", i, "FORMATION_CHANGED", "formation 1 -> 2") for i in (1, 2, 3, 4)]
     happened += [

@@ -100,7 +100,7 @@ def test_the_timeline_of_live_vehicles_follows_its_events(open_page: OpenPage) -
         server.event("hold", f"{ANNA}: hold to vehicles 1 to 4", kind="command", given=given)
         expect(line.locator(".sign")).to_contain_text("·")
         for i in range(1, 5):
-            server.event("PHASE_CHANGED", "hold accepted: holds", i, "answer", given._replace(outcome="accepted"))
+            server.event("PHASE_CHANGED", "hold accepted: holds", i, "answer", given.answered("accepted"))
         expect(line.locator(".sign")).to_contain_text("✓")
         expect(page.locator("#events .mission li")).to_contain_text("accepted by 1, 2, 3, 4")
         server.event("ROLE_CHANGED", "follower -> leader in epoch 2", 3, "leader")
