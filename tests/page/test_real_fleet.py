@@ -56,6 +56,11 @@ def test_an_operator_arms_a_fleet_on_the_page_and_aborts(open_page: OpenPage, fl
         expect(page.locator("tbody.vehicle")).to_have_count(4, timeout=PATIENCE_MS)
         expect(page.locator("#figures")).to_contain_text("4 of 4", timeout=PATIENCE_MS)
 
+        file = "fetch('api/v1/fleets/platoon').then((response) => response.json())"
+        until_shown(
+            page, lambda: page.evaluate(file)["reference_enu_m"] == [[1.0, 0.0, 1.0]]
+        )  # as its leader describes it
+
         def all_checks_pass() -> bool:
             page.locator("[data-action=doctor]").click()
             expect(page.locator(".answer").first.locator("li")).not_to_have_count(0, timeout=PATIENCE_MS)

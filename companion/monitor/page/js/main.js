@@ -142,6 +142,10 @@ function showPreviewed() {
 function previewForm(name) {
   act.tab("control");
   drawPanels();
+  if (store.freshness.lost(performance.now())) {
+    act.hint("No live data: the vehicles cannot be asked.");
+    return;
+  }
   const form = document.querySelector(`form[data-form="${name}"]`);
   form.closest("details").open = true;
   form.requestSubmit();

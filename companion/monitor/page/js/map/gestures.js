@@ -46,11 +46,9 @@ export function listen(canvas, camera, on) {
 
   const end = (event) => {
     if (!pointers.delete(event.pointerId)) return;
-    if (held) {
-      drop();
-      return;
-    }
-    if (pointers.size) return;
+    const dragged = held && travelled > CLICK_PX;
+    drop();
+    if (pointers.size || dragged) return;
     canvas.classList.remove("dragging");
     if (event.type === "pointerup" && event.button === 0 && travelled <= CLICK_PX) {
       on.clicked(...within(event), event);
