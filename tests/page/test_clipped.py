@@ -82,6 +82,7 @@ def test_every_text_of_a_fleet_can_be_read(open_page: OpenPage, state: object) -
         page.locator("tbody.vehicle[data-id='3'] button").click()
         for summary in page.locator("summary").all():
             summary.click()
+        page.locator("[data-action=place]").click()
         page.locator("[data-action=hold]").click()
         expect(page.locator(".answer li")).to_have_count(2)  # of vehicle 3, and of the others
         page.locator("[data-action=preview-formation]").click()
