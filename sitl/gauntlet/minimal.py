@@ -28,24 +28,24 @@ def minimal(job: Job) -> tuple[Scenario, FlightOutcome]:
     tries = _count(flight.scenario)
     tried = kept = 0
     while tried < tries:  # `kept`: so many of those before are needed
-        simpler = next((one for place, one in enumerate(_simpler(flight.scenario)) if place == kept), None)
-        if simpler is None:
+        tried_scenario = next((one for place, one in enumerate(simpler(flight.scenario)) if place == kept), None)
+        if tried_scenario is None:
             break
         tried += 1
         report_progress(tried / tries)
-        found = fly_drawn(job, dataclasses.replace(flight, scenario=simpler), time.process_time())
+        found = fly_drawn(job, dataclasses.replace(flight, scenario=tried_scenario), time.process_time())
         if not found.failure and score_of(found) < limit:
-            flight, outcome = dataclasses.replace(flight, scenario=simpler), found
+            flight, outcome = dataclasses.replace(flight, scenario=tried_scenario), found
         else:
             kept += 1
     return flight.scenario, outcome
 
 
 def _count(scenario: Scenario) -> int:
-    return sum(1 for _ in _simpler(scenario))
+    return sum(1 for _ in simpler(scenario))
 
 
-def _simpler(scenario: Scenario) -> Iterator[Scenario]:
+def simpler(scenario: Scenario) -> Iterator[Scenario]:
     """The scenario without one thing, for each that can be left out; in an order that leaving one out does not change."""
     stand_in, links, fleet = scenario.stand_in, scenario.links, scenario.fleet
     for name in ("peer_loss", "peer_jitter_s", "peer_delay_s"):

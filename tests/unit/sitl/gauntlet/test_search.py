@@ -14,7 +14,7 @@ from sitl.flight.scenario import Scenario
 from sitl.gauntlet.drawing import COMBINED_FROM, Chosen, draw_flight, has_runaway
 from sitl.gauntlet.faults import COMBINED, SEARCHED
 from sitl.gauntlet.flight import FlightOutcome, Job, LeastRoom
-from sitl.gauntlet.minimal import TAKE_OFF_STEPS, _simpler
+from sitl.gauntlet.minimal import TAKE_OFF_STEPS, simpler
 from sitl.gauntlet.search import DRAWS, NO_PAIR, Search, read_search, score_of, write_search
 from sitl.vehicle.config import Wind
 
@@ -93,8 +93,8 @@ def test_the_score_is_the_smallest_share_of_what_is_allowed() -> None:
 def test_each_simpler_scenario_lacks_one_thing(family: str) -> None:
     job = Search(seed=5, sensors=None, families=(family,)).next_jobs()[1]
     scenario = draw_flight(job.seed, job.number, None, None, job.choices).scenario
-    count = sum(1 for _ in _simpler(scenario))
-    while left := list(_simpler(scenario)):
+    count = sum(1 for _ in simpler(scenario))
+    while left := list(simpler(scenario)):
         assert len(left) == count
         assert all(one != scenario for one in left)
         assert {_ends_s(one) for one in left} == {_ends_s(scenario)}
