@@ -299,7 +299,7 @@ def test_a_stopping_agent_hands_over_unless_a_pilot_flies() -> None:
 def test_the_stream_stops_without_mode_or_attitude(kind: type) -> None:
     flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.withheld = (kind,)
-    for _ in range(45):
+    for _ in range(65):  # MODE_STALE after 1.2 s
         flight.tick()
     assert flight.outbox.attitude_target is None
 
