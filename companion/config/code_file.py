@@ -8,6 +8,7 @@ was checked is what runs. The code imports what is installed and no file beside 
 from __future__ import annotations
 
 import ast
+import errno
 import os
 import stat
 import sys
@@ -163,7 +164,9 @@ def read_beside(path: Path, beside: Path) -> bytes:
             os.close(inside)
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
         reason = error.strerror if isinstance(error, OSError) else "a zero byte in its name"
-        raise ConfigError(file, "", f"cannot be read: {reason}; check the path, which may be no link") from error
+        is_link = isinstance(error, OSError) and error.errno == errno.ELOOP
+        remedy = "expected the file itself, not a symbolic link" if is_link else "check the path"
+        raise ConfigError(file, "", f"cannot be read: {reason}; {remedy}") from error
     _refuse_foreign(file, state)
     return content
 

@@ -113,11 +113,21 @@ def read_text(path: Path) -> str:
         raise ConfigError(path, "", f"is not UTF-8 text (byte {error.start})") from error
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
         reason = error.strerror if isinstance(error, OSError) else "a zero byte in its name"
-        raise ConfigError(path, "", f"cannot be read: {reason}; check the path") from error
+        raise ConfigError(path, "", f"cannot be read: {reason}; {_what_to_do(path)}") from error
+
+
+def _what_to_do(path: Path) -> str:
+    """With a path that cannot be read. The folder of a flight has the files that were flown."""
+    if not path.is_dir():
+        return "check the path"
+    inside = [str(path / name) for name in ("scenario.yaml", "fleet.yaml") if (path / name).is_file()]
+    return f"use {' or '.join(inside)}" if inside else "expected a file"
 
 
 def read_yaml(path: Path) -> Any:
     """The plain content of a YAML file. Raises ConfigError; a key that is given twice is an error."""
+    if path.suffix == ".py" and path.is_file():
+        raise ConfigError(path, "", "is Python; expected a YAML file, and a law of your own after --law")
     text = read_text(path)
     try:
         return yaml.load(text, Loader=StrictLoader)
@@ -134,7 +144,7 @@ YAML_WORDS = (
     (r"character '\\t'", "a tab, where YAML wants spaces"),
     (
         "mapping values are not allowed",
-        "no colon can be here: this line is indented too far, or the line above has no colon",
+        "no colon can be here: this line is indented too far, or the line above has no colon with a blank after it",
     ),
     (
         "<block end>|<document start>",

@@ -23,6 +23,7 @@ from companion.types.values import quoted
 
 Arguments = ParamSpec("Arguments")
 T = TypeVar("T")
+BLANK_MISSING = "a blank is missing after the colon"
 LISTED_UP_TO = 6  # keys of a section that an unknown key is answered with
 PLAIN_WORDS = {
     "object": "a section with keys",
@@ -154,7 +155,7 @@ def _examine_section(data: dict[Any, Any], cls: Any, field: str) -> tuple[Any, l
     known = {info.encode_name: info for info in fields(cls)}
     tag_field = cls.__struct_config__.tag_field
     problems = [
-        Problem(_join(field, key), "unknown key" + _hint(field, key, known, cls))
+        Problem(_join(field, key), "unknown key" + (_cut_in_two(key, data[key]) or _hint(field, key, known, cls)))
         for key in data
         if key not in known and key != tag_field
     ]
@@ -223,7 +224,8 @@ def _wrong_tag(data: Any, type_: Any, field: str) -> Problem | None:
         return None
     key, tags = kinds[0].tag_field, sorted(str(kind.tag) for kind in kinds)
     if key not in data:
-        return Problem(_join(field, key), f"missing; expected one of {', '.join(tags)}")
+        hints = (_cut_in_two(name, content) for name, content in data.items() if str(name).startswith(f"{key}:"))
+        return Problem(_join(field, key), f"missing; expected one of {', '.join(tags)}{next(hints, '')}")
     return Problem(
         _join(field, key), f"{quoted(data[key])}: expected one of {', '.join(tags)}{did_you_mean(data[key], tags)}"
     )
@@ -318,7 +320,8 @@ def _explain(value: Any, type_: Any, problem: str) -> str:
     text = in_plain_words(problem)
     if isinstance(value, dict | list):
         return text
-    return f"{_as_in_yaml(value)}: {text.partition(', got ')[0]}{_as_yaml_number(value)}{_quotes(value, text)}"
+    hint = _as_section(value, type_) if text.startswith(f"expected {PLAIN_WORDS['object']}") else _quotes(value, text)
+    return f"{_as_in_yaml(value)}: {text.partition(', got ')[0]}{_as_yaml_number(value)}{hint}"
 
 
 def in_plain_words(problem: object) -> str:
@@ -342,9 +345,29 @@ def _as_in_yaml(value: Any) -> str:
 
 def _quotes(value: Any, text: str) -> str:
     """A hint at quotes that are too many or missing."""
-    if isinstance(value, str) and "number" in text and re.fullmatch(r"[-+]?\d+(\.\d*)?", value):
-        return "; a number has no quotes"
+    if isinstance(value, str) and "number" in text and re.fullmatch(r"[-+]?\d+([.,]\d*)?", value):
+        return f"; a number has a point: {value.replace(',', '.')}" if "," in value else "; a number has no quotes"
     return "; put it in quotes" if isinstance(value, int | float) and text.startswith("expected text") else ""
+
+
+def _as_section(value: Any, type_: Any) -> str:
+    """A hint at a section that is written as text: at the blank after its colon, or at the key that a mere name belongs to."""
+    if not isinstance(value, str):
+        return ""
+    if re.match(r"\w+:\S", value):
+        return f"; {BLANK_MISSING}"
+    sections = [part for part in alternatives(type_) if _is_struct(part)]
+    if any(value == part.__struct_config__.tag for part in sections):
+        return f"; did you mean {{{sections[0].__struct_config__.tag_field}: {value}, ...}}?"
+    named = any("name" in part.__struct_fields__ for part in sections) and re.fullmatch(r"[\w-]{1,40}", value)
+    return f"; did you mean {{name: {value}}}?" if named else ""
+
+
+def _cut_in_two(key: object, value: object) -> str:
+    """A hint at a key without a value between braces, where YAML reads "a:b" and "1,5" otherwise than they are meant."""
+    if value is None and isinstance(key, int):
+        return "; a number has a point, not a comma"
+    return f"; {BLANK_MISSING}" if value is None and re.match(r"\w+:\S", str(key)) else ""
 
 
 def _hint(field: str, key: object, known: Iterable[str], cls: type) -> str:

@@ -158,7 +158,7 @@ def _value(type_: Any) -> Value:
         value = _value(arguments[0])
         for meta in arguments[1:]:
             if isinstance(meta, Meta):
-                value.bounds += _bounds(meta)
+                value.bounds += _bounds(meta, "characters" if value.names == ["text"] else "entries")
                 value.meaning = meta.description or value.meaning
         return value
     if origin in (Union, UnionType):
@@ -203,12 +203,13 @@ def _choices(words: Iterable[str]) -> str:
     return ", ".join(f"`{word}`" for word in words)
 
 
-def _bounds(meta: Meta) -> list[str]:
+def _bounds(meta: Meta, items: str) -> list[str]:
     low = f"≥ {meta.ge:g}" if meta.ge is not None else f"> {meta.gt:g}" if meta.gt is not None else ""
     high = f"≤ {meta.le:g}" if meta.le is not None else f"< {meta.lt:g}" if meta.lt is not None else ""
     if meta.ge is not None and meta.le is not None:
         return [f"{meta.ge:g} to {meta.le:g}"]
-    sizes = [f"{meta.min_length} to {meta.max_length or 'any number of'} entries"] if meta.min_length else []
+    most = f"to {meta.max_length}" if meta.max_length else "or more"
+    sizes = [f"{meta.min_length} {most} {items}"] if meta.min_length else []
     text = [str((meta.extra or {})["format"])] if meta.extra and "format" in meta.extra else []
     return [bound for bound in (low, high) if bound] + sizes + text
 

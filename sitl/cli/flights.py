@@ -75,7 +75,7 @@ def _run_run(parsed: argparse.Namespace) -> int:
 
     examples:
       sitl run platoon                        the paper's platoon with the paper's law
-      sitl run platoon --compare              all laws in turn, one table, one figure
+      sitl run platoon --compare              the paper's laws and cooperative in turn, one table, one figure
       sitl run platoon --set stand_in.sensors=default --set stand_in.seed=2
       sitl run platoon --autopilot ardupilot  stand-ins that behave like ArduCopter instead of PX4
       sitl run platoon --set links.peer_loss=0.1 --set links.peer_delay_s=0.1
@@ -116,7 +116,7 @@ def _run_fly(parsed: argparse.Namespace) -> int:
     examples:
       sitl fly platoon                        the paper's platoon with the paper's law
       sitl fly platoon --law average_22       with another law
-      sitl fly platoon --compare average_26   also with this one, one table, one figure; --compare alone: with all
+      sitl fly platoon --compare average_26   also with this one, one table, one figure; --compare alone: as `sitl run`
       sitl fly platoon --autopilot ardupilot  stand-ins that behave like ArduCopter instead of PX4
       sitl fly platoon --external ardupilot   with four real ArduCopters in their own simulation
       sitl fly four_in_line --external px4 --binary ~/px4/build/px4_sitl_sih/bin/px4

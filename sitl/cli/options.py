@@ -47,7 +47,7 @@ def add_out(parser: argparse.ArgumentParser) -> None:
 
 def add_out_and_quiet(parser: argparse.ArgumentParser) -> None:
     add_out(parser)
-    parser.add_argument("--quiet", action="store_true", help="print the result only")
+    parser.add_argument("--quiet", action="store_true", help="print the result only; warnings go to standard error")
 
 
 def add_cluster(parser: argparse._ActionsContainer) -> None:

@@ -5,6 +5,7 @@ How a flight is flown is an argument (`run_flights`); `run_virtual` is `sitl run
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, fields
@@ -345,8 +346,7 @@ def run_flights(options: FlightOptions, prepare: Prepare) -> int:
         name = options.scenario.stem
         stem = f"{name}-{scenario.fleet.law.name}"
         with prepare(scenario) as fly_once, open_folder(options.out, stem) as folder:
-            if not options.quiet:
-                print("".join(f"{warning}\n" for warning in warnings), end="", flush=True)
+            _show(warnings, options.quiet)
             if options.others is None:
                 return _fly_one(FlightOrder(scenario, name, folder, stop), fly_once)
             return _fly_laws(scenarios, name, folder, fly_once, stop)
@@ -372,17 +372,24 @@ def _convergence_warnings(scenarios: list[Scenario], anyway: bool) -> list[str]:
         except DivergesError as error:
             if not anyway:
                 raise
-            warnings.append(f"warning, {law}: {error}")
+            warnings.append(f"{WARNING}{law}: {error}")
     return warnings
 
 
+def _show(warnings: list[str], quiet: bool) -> None:
+    """What is wrong is never kept quiet, only what is expected."""
+    shown = [line for line in warnings if line.startswith(WARNING)] if quiet else warnings
+    print("".join(f"{line}\n" for line in shown), end="", flush=True, file=sys.stderr if quiet else sys.stdout)
+
+
+WARNING = "warning, "
 EXPECTED = (Code.BADLY_DAMPED, Code.ERRORS_GROW)  # how a flight looks that settles and lands all the same
 
 
 def _before_flight(law: LawName, notice: Notice) -> str:
     if notice.code in EXPECTED:
         return f"expected of {law}: {notice.text} ({notice.code})"
-    return f"warning, {law}: {notice}"
+    return f"{WARNING}{law}: {notice}"
 
 
 def _fly_one(order: FlightOrder, fly_once: FlyOnce) -> int:

@@ -7,6 +7,7 @@ import pytest
 
 from common import ROOT
 from companion.cli.main import main
+from companion.config.law import GAINS
 from companion.report.findings import FindingKind
 from companion.tools.explanations import COLUMNS, listing, report
 from companion.types.code_table import code_entries, code_table
@@ -46,6 +47,11 @@ def test_symptom_cause_and_remedy_are_sentences(code: str) -> None:
         assert text.endswith(".")
         assert "  " not in text
     assert all(len(line) <= COLUMNS for line in report(code).splitlines())
+
+
+def test_the_gains_in_an_advice_are_parameters_of_laws() -> None:
+    gains = {name for entry in code_entries().values() for name in re.findall(r"`(\w+_1_s2?)`", entry.remedy)}
+    assert gains == set(GAINS)
 
 
 def test_no_advice_sends_the_reader_to_another_code() -> None:

@@ -65,6 +65,13 @@ def test_a_bad_scenario_and_a_bad_override_are_refused_in_one_line(tmp_path: Pat
     bad.write_text(PLATOON.read_text(encoding="utf-8").replace("role: leader", "role: follower"), encoding="utf-8")
     assert refused(str(bad)).startswith(f"{bad}: fleet.vehicles: no vehicle leads")
     assert refused(str(tmp_path / "none.yaml")).endswith("cannot be read: No such file or directory; check the path")
+    assert refused(str(tmp_path)).endswith("cannot be read: Is a directory; expected a file")
+    flown = tmp_path / "scenario.yaml"
+    flown.touch()
+    assert refused(str(tmp_path)).endswith(f"cannot be read: Is a directory; use {flown}")
+    law = ROOT / "config" / "examples" / "integral.py"
+    assert refused(str(law)).endswith("is Python; expected a YAML file, and a law of your own after --law")
+    assert refused(str(PLATOON), "--law", "none.py").endswith("No such file or directory; check the path")
     assert (
         refused(str(PLATOON), "--set", "fleet.law.nam=x") == '--set: fleet.law.nam: unknown key; did you mean "name"?'
     )
