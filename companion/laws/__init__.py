@@ -103,9 +103,9 @@ class Law(Struct, frozen=True, forbid_unknown_fields=True):
     def weights(self, leads: bool, prcs: Sequence[int]) -> tuple[float, ...]:  # noqa: ARG002
         """w_ij of neighbours with these PrCs, in their order, for status and for a vehicle that the filter keeps off its slot.
 
-        Those of Algorithm 2 where a law has no others. They add up to one, or are empty for a leader that uses no neighbours.
+        They add up to one, or are empty: of a leader that uses no neighbours, and of a law whose weights are not of PrCs alone.
         """
-        return neighbour_weights(tuple(prcs))
+        return ()
 
 
 @lru_cache(maxsize=256)  # PrCs change seldom, and every tick needs their weights

@@ -91,7 +91,7 @@ def _nearest(nearest: NearestVehicle, changed_m_s2: float) -> NearestView:
 
 
 def _neighbours(reported: NeighbourReport) -> tuple[NeighbourView, ...]:
-    """A report of an older agent has neither weights nor ages."""
+    """Without weights where the law tells none."""
     ids, known = reported.neighbours, len(reported.neighbours)
     rows = zip_longest(ids, reported.weights[:known], reported.neighbour_ages_s[:known])
     return tuple(NeighbourView(i, _known(weight, 4), _known(age_s, 3)) for i, weight, age_s in rows)

@@ -175,8 +175,12 @@ def _changes(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 
 def draw_weights(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure | None:
-    """A panel for each vehicle that used neighbours; None without any."""
-    users = [vehicle for vehicle in flight.vehicles if vehicle.ticks.neighbours][:MOST_PANELS]
+    """A panel for each vehicle that used neighbours with weights; None without any, as of a law that tells none."""
+    users = [
+        vehicle
+        for vehicle in flight.vehicles
+        if any(np.isfinite(use.weight).any() for use in vehicle.ticks.neighbours.values())
+    ][:MOST_PANELS]
     if not users:
         return None
     panels = [

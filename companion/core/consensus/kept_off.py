@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import dist, inf
 
-from companion.laws import FormationState, Law, Neighbour
+from companion.laws import FormationState, Law, Neighbour, neighbour_weights
 
 
 def target(law: Law, neighbours: Sequence[Neighbour], reference: FormationState | None) -> FormationState | None:
-    """The RFT that the law steers to: R of a leader, of a follower the weighted mean of its neighbours; None without any."""
+    """The RFT that the law steers to: R of a leader, of a follower the weighted mean of its neighbours; None without any.
+
+    A law that tells no weights counts with those of Algorithm 2.
+    """
     if reference is not None or not neighbours:
         return reference
-    weights = law.weights(False, [neighbour.prc for neighbour in neighbours])
+    prcs = [neighbour.prc for neighbour in neighbours]
+    weights = law.weights(False, prcs) or neighbour_weights(tuple(prcs))
     states = [(s.position_enu_m, s.velocity_enu_m_s, s.acceleration_enu_m_s2) for s in neighbours]
     means = [
         tuple([sum(w * vector[axis] for w, vector in zip(weights, vectors, strict=True)) for axis in range(3)])

@@ -267,7 +267,7 @@ def test_the_map_has_the_line_of_the_reference_that_the_leader_describes(load: S
         assert view.reference_enu_m == expected
 
 
-def test_a_report_of_an_older_agent_has_no_weights() -> None:
+def test_a_law_may_tell_no_weights() -> None:
     picture = picture_of(reported(2, neighbours=(1, 3)))
     assert [(n.vehicle_id, n.weight, n.age_s) for n in vehicle(picture, 2).neighbours] == [
         (1, None, None),

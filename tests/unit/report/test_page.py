@@ -179,6 +179,16 @@ def test_the_page_of_a_vehicle_alone_has_no_figure_of_pairs() -> None:
     assert {"tracks", "errors", "timing"} <= set(parsed.figures)
 
 
+def test_weights_that_a_law_does_not_tell_have_no_figure() -> None:
+    def untold(_time_s: float, record: DecisionRecord) -> DecisionRecord:
+        return replace(record, weights=())
+
+    parsed = Page()
+    parsed.feed(page_of(judge(flight_of(records_of(3, 24.0, dict.fromkeys((1, 2, 3), Faults(decision=untold))))), ZONE))
+    assert "weights" not in parsed.figures
+    assert "tracks" in parsed.figures
+
+
 def test_a_track_begins_at_the_first_position() -> None:
     def located_from_4_s(time_s: float, record: DecisionRecord) -> DecisionRecord:
         if time_s >= 4.0:

@@ -10,6 +10,7 @@ from companion.core.consensus.kept_off import BACK_WITHIN_M, INTERVENES_M_S2, LA
 from companion.core.consensus.law import FlownLaw
 from companion.core.consensus.peers import PeerState, neighbour_at
 from companion.laws import Neighbour
+from companion.laws._starting_point import StartingPoint
 from companion.laws.serial import Serial
 from companion.types.autopilot import VehicleState
 from companion.types.flight import FlightPhase, Role
@@ -81,6 +82,7 @@ def test_the_rft_is_that_of_the_law() -> None:
     assert target(weighted(), neighbours, RFT) is RFT
     assert target(weighted(), [], None) is None
     mean = target(weighted(), neighbours, None)
+    assert target(StartingPoint(), neighbours, None) == mean  # a law that tells no weights
     assert mean is not None
     assert mean.position_enu_m == pytest.approx((11.0, 0.0, 5.0))
     assert (mean.velocity_enu_m_s, mean.acceleration_enu_m_s2) == (ZERO3, ZERO3)
