@@ -11,11 +11,13 @@ from msgspec import Struct
 from companion.core.autopilot import Profiles, profile_of
 from companion.core.consensus.kept_off import KeptOff, target
 from companion.core.consensus.law import FlownLaw, feedback, formation_state
+from companion.core.consensus.peers import PeerState
 from companion.core.consensus.stage import Consensus
 from companion.core.control.descent import Descent
 from companion.core.estimation.wind import DisturbanceObserver, FlightSample
 from companion.core.filter.filter import SafetyFilter
 from companion.core.formation.guidance import Guidance
+from companion.core.safety.assurance import CommandMonitor
 from companion.core.safety.limits import OutputLimiter, OutputLimits
 from companion.core.safety.safeguard import Safety
 from companion.geometry.vectors import between, shortened
@@ -29,6 +31,7 @@ from companion.types.status import SeparationReport
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
 UNFILTERED = SeparationReport()
+NO_PEERS: Mapping[int, PeerState] = {}
 # Member lookup of an enum is slow, and every tick needs these.
 ENGAGE, FORMATION, TAKEOFF = FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.TAKEOFF
 OBSERVE = FlightPhase.OBSERVE
@@ -114,18 +117,16 @@ class SetpointStage:
             elif flight.descends:  # unfiltered, as a landing of the autopilot
                 attitude_target = stream.follow(now_s, vehicle, self._descent.acceleration_enu_m_s2(now_s, vehicle))
             elif vehicle.position_time_s > stream.position_used_s:  # a decision needs a new position
+                peers, disturbance_enu_m_s2 = consensus.peers, stream.observer.disturbance_enu_m_s2
+                slot, fresh = (guidance.slot, peers.fresh) if phase is FORMATION else (None, NO_PEERS)
+                wanted_enu_m_s2 = self._wanted(vehicle, flight, consensus, guidance)
+                last_enu_m_s2 = stream.flown_acceleration_enu_m_s2(now_s, self._flown_for_s)
                 safe = self._safety_filter.step(
-                    now_s,
-                    vehicle,
-                    guidance.slot if phase is FORMATION else None,
-                    consensus.peers.known,
-                    consensus.peers.fresh,
-                    self._wanted(vehicle, flight, consensus, guidance),
-                    stream.flown_acceleration_enu_m_s2(now_s, self._flown_for_s),
-                    stream.observer.disturbance_enu_m_s2,
+                    now_s, vehicle, slot, peers.known, peers.fresh, wanted_enu_m_s2, last_enu_m_s2, disturbance_enu_m_s2
                 )
                 self._separation, self._removed_m_s2 = safe.separation, safe.removed_accel_m_s2
-                attitude_target = stream.follow(now_s, vehicle, safe.acceleration_enu_m_s2)
+                allowed_enu_m_s2 = stream.checked(now_s, vehicle, fresh, safe.acceleration_enu_m_s2)
+                attitude_target = stream.follow(now_s, vehicle, allowed_enu_m_s2)
         elif before.streams and self._listens_in_silence(vehicle):
             attitude_target = stream.final_level_setpoint(now_s)
         rft = None
@@ -262,8 +263,9 @@ class SetpointStream:
     compared with the attitude that the vehicle had.
     """
 
-    def __init__(self, limits: OutputLimits, observer: DisturbanceObserver) -> None:
+    def __init__(self, limits: OutputLimits, observer: DisturbanceObserver, monitor: CommandMonitor) -> None:
         self._limits = limits
+        self._monitor = monitor
         self._gate = OutputLimiter(limits)
         self.observer = observer
         self.rejected: Counter[str] = Counter()
@@ -291,6 +293,15 @@ class SetpointStream:
     def carry_on(self, now_s: float, vehicle: VehicleState) -> AttitudeTarget | None:
         """What the vehicle does already, until the autopilot has taken the stream."""
         return self._send(now_s, vehicle, ZERO3, self._as_it_flies(now_s, vehicle))
+
+    def checked(
+        self, now_s: float, vehicle: VehicleState, fresh: Mapping[int, PeerState], filtered_enu_m_s2: Vector3
+    ) -> Vector3:
+        """The filtered acceleration, or braking where the monitor finds that it leaves no way to stop."""
+        allowed_enu_m_s2 = self._monitor.acceleration(now_s, vehicle, fresh, filtered_enu_m_s2)
+        if allowed_enu_m_s2 is not filtered_enu_m_s2:
+            self.rejected = count_rejection(self.rejected, Code.COMMAND_BRAKED)
+        return allowed_enu_m_s2
 
     def follow(self, now_s: float, vehicle: VehicleState, wanted_enu_m_s2: Vector3) -> AttitudeTarget | None:
         """The attitude for this acceleration, as near as tilt and thrust allow, against the estimated disturbance."""
@@ -328,7 +339,7 @@ class SetpointStream:
     ) -> AttitudeTarget | None:
         self.position_used_s = vehicle.position_time_s
         target = self._gate.admit(now_s, wanted, self.observer.hover_thrust_norm)
-        if target is None:
+        if target is None or not self._monitor.permits(now_s, vehicle, target):
             self.rejected = count_rejection(self.rejected, Code.SETPOINT_IMPOSSIBLE)
             return None
         sent = self.sent

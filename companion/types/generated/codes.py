@@ -159,6 +159,7 @@ class Code(StrEnum):
     MAVLINK_UNSIGNED = "MAVLINK_UNSIGNED"
     MAVLINK_WRONG_KEY = "MAVLINK_WRONG_KEY"
     MAVLINK_OLD_SIGNATURE = "MAVLINK_OLD_SIGNATURE"
+    COMMAND_BRAKED = "COMMAND_BRAKED"
     SETPOINT_IMPOSSIBLE = "SETPOINT_IMPOSSIBLE"
     PEER_STALE = "PEER_STALE"
     PEER_OWN_ID = "PEER_OWN_ID"
@@ -326,6 +327,7 @@ TEXTS: dict[str, str] = {
     "MAVLINK_UNSIGNED": "MAVLink packet without a signature",
     "MAVLINK_WRONG_KEY": "MAVLink packet signed with another key",
     "MAVLINK_OLD_SIGNATURE": "MAVLink packet with an old signature",
+    "COMMAND_BRAKED": "own command left no way to stop before another vehicle, the fence or an obstacle: braked",
     "SETPOINT_IMPOSSIBLE": "own setpoint not finite, or no attitude gives its acceleration",
     "PEER_OWN_ID": "packet with this vehicle's own id; two vehicles have one id",
     "PEER_NOT_IN_FLEET": "packet of a vehicle that is not in the fleet file",

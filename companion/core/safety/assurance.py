@@ -1,0 +1,147 @@
+"""The last check of a command, independent of the filter that made it: run-time assurance in the sense of ASTM F3269.
+
+The filter decides by barriers, margins, silence and rank, in some hundred lines for each of these. A defect in one of them is a
+collision. This monitor shares types and geometry with it and no decision: it asks of each command only whether what must always
+hold can still hold after it, with the full braking that the envelope allows, and can do one thing: brake instead.
+
+- Two vehicles that cooperate, both in formation and fresh, can still stop at SHARE of `separation_m` from each other.
+- The vehicle can still stop inside the fence, above its floor, and before every obstacle.
+- The attitude target is finite and within tilt, thrust and their rates; else nothing is sent.
+- The position that was used is fresh; else nothing is sent.
+
+The filter plans with half the braking, at the whole `separation_m` and with a clearance: where it is right, nothing of this is
+ever near. The monitor does not save a vehicle from another one that does not brake, or from wrong positions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import hypot, inf, isfinite, sqrt
+
+from companion.core.consensus.peers import PeerState
+from companion.geometry.airspace import Airspace
+from companion.geometry.formations import HEIGHT_WEIGHT
+from companion.types.autopilot import AttitudeTarget, VehicleState
+from companion.types.flight import FlightPhase
+from companion.types.values import Vector3
+
+FORMATION = FlightPhase.FORMATION
+SHARE = 0.65  # of separation_m, at which two vehicles must be able to stop
+BRAKING_SHARE = 0.8  # of the largest braking: the rest is for wind
+RESPONDS_S = 0.3  # attitude lag, a tick, and the transport of a packet
+STANDS_M_S = 0.1  # a slower approach is noise of the estimators
+STOPS_WITHIN_S = 0.5  # the velocity is braked away in so long, as far as the envelope allows
+OLDEST_S = 0.1  # of the position that a command was decided by
+WITHIN_M = 30.0  # of walls that are looked at
+ROUNDED_RAD = 1e-3
+SLEW_S = 0.1  # after a longer time without a setpoint a stream begins anew
+
+
+@dataclass(frozen=True, slots=True)
+class FullLimits:
+    """What a vehicle can do at most: braking in the plane, upwards and downwards in m/s^2, tilt and its rate."""
+
+    braking_m_s2: float
+    braking_up_m_s2: float
+    braking_down_m_s2: float
+    max_tilt_rad: float
+    max_tilt_rate_rad_s: float
+
+
+class CommandMonitor:
+    """Passes a command on, or brakes."""
+
+    def __init__(self, separation_m: float, airspace: Airspace, envelope: FullLimits) -> None:
+        self._least_m = SHARE * separation_m
+        self._airspace, self._is_box = airspace, airspace.is_box
+        self._envelope = envelope
+        self._last, self._last_s = AttitudeTarget(0.0, 0.0, 0.0, 0.0), -inf
+
+    def acceleration(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        fresh: Mapping[int, PeerState],
+        wanted_enu_m_s2: Vector3,
+    ) -> Vector3:
+        """The acceleration, or that of braking where this one leaves no way to stop.
+
+        `fresh`: the peers in time, of a vehicle in formation; none otherwise.
+        """
+        age_s = now_s - vehicle.position_time_s
+        (x, y, z), (vx, vy, vz), (ux, uy, uz) = vehicle.position_enu_m, vehicle.velocity_enu_m_s, wanted_enu_m_s2
+        place = (x + vx * age_s, y + vy * age_s, z + vz * age_s)
+        velocity = (vx + ux * RESPONDS_S, vy + uy * RESPONDS_S, vz + uz * RESPONDS_S)
+        if self._meets(now_s, place, velocity, fresh) or self._leaves(place, velocity):
+            return (-vx / STOPS_WITHIN_S, -vy / STOPS_WITHIN_S, -vz / STOPS_WITHIN_S)
+        return wanted_enu_m_s2
+
+    def _meets(self, now_s: float, place: Vector3, velocity: Vector3, fresh: Mapping[int, PeerState]) -> bool:
+        """Whether a cooperating vehicle would come too near although both brake: on a straight path relative to each other."""
+        (x, y, z), (vx, vy, vz), both_m_s2 = place, velocity, 2.0 * BRAKING_SHARE * self._envelope.braking_m_s2
+        for peer in fresh.values():
+            packet = peer.packet
+            if packet.phase is not FORMATION:
+                continue
+            motion, age_s = packet.motion, now_s - peer.measured_s
+            (px, py, pz), (wx, wy, wz) = motion.position_enu_m, motion.velocity_enu_m_s
+            ax, ay, az = motion.acceleration_enu_m_s2
+            ahead_s = age_s + RESPONDS_S
+            dx, dy, dz = x - px - wx * age_s, y - py - wy * age_s, (z - pz - wz * age_s) * HEIGHT_WEIGHT
+            rx, ry, rz = vx - wx - ax * ahead_s, vy - wy - ay * ahead_s, (vz - wz - az * ahead_s) * HEIGHT_WEIGHT
+            speed_m_s = sqrt(rx * rx + ry * ry + rz * rz)
+            if speed_m_s <= STANDS_M_S:
+                continue
+            rx, ry, rz = rx / speed_m_s, ry / speed_m_s, rz / speed_m_s
+            nearest_m = -(dx * rx + dy * ry + dz * rz)  # the way to where they pass each other
+            if nearest_m > 0.0:
+                way_m = min(nearest_m, speed_m_s * RESPONDS_S + speed_m_s * speed_m_s / (2.0 * both_m_s2))
+                dx, dy, dz = dx + rx * way_m, dy + ry * way_m, dz + rz * way_m
+                if dx * dx + dy * dy + dz * dz < self._least_m * self._least_m:
+                    return True
+        return False
+
+    def _leaves(self, place: Vector3, velocity: Vector3) -> bool:
+        """Whether the vehicle could no longer stop before a wall of the fence or an obstacle."""
+        fence, envelope = self._airspace.fence, self._envelope
+        level_m_s2 = BRAKING_SHARE * envelope.braking_m_s2
+        up_m_s2, down_m_s2 = BRAKING_SHARE * envelope.braking_up_m_s2, BRAKING_SHARE * envelope.braking_down_m_s2
+        for p, v, low, high, before_low_m_s2, before_high_m_s2 in zip(
+            place,
+            velocity,
+            fence.min_enu_m,
+            fence.max_enu_m,
+            (level_m_s2, level_m_s2, up_m_s2),
+            (level_m_s2, level_m_s2, down_m_s2),
+            strict=True,
+        ):
+            room_m, braking_m_s2 = (p - low, before_low_m_s2) if v < 0.0 else (high - p, before_high_m_s2)
+            speed_m_s = abs(v)
+            if speed_m_s > STANDS_M_S and room_m < speed_m_s * RESPONDS_S + speed_m_s**2 / (2.0 * braking_m_s2):
+                return True
+        if self._is_box:
+            return False
+        vx, vy, _ = velocity
+        for room_m, (nx, ny, _) in self._airspace.walls(place, WITHIN_M):
+            speed_m_s = -(nx * vx + ny * vy)
+            if speed_m_s > STANDS_M_S and room_m < speed_m_s * RESPONDS_S + speed_m_s**2 / (2.0 * level_m_s2):
+                return True
+        return False
+
+    def permits(self, now_s: float, vehicle: VehicleState, target: AttitudeTarget) -> bool:
+        """Whether this target may be sent after the last one that was permitted."""
+        envelope, last = self._envelope, self._last
+        roll, pitch, thrust = target.roll_rad, target.pitch_rad, target.thrust_norm
+        most_rad = inf if now_s - self._last_s > SLEW_S else envelope.max_tilt_rate_rad_s * SLEW_S + ROUNDED_RAD
+        if not (
+            now_s - vehicle.position_time_s <= OLDEST_S
+            and isfinite(target.yaw_rad)
+            and hypot(roll, pitch) <= envelope.max_tilt_rad + ROUNDED_RAD
+            and -most_rad <= roll - last.roll_rad <= most_rad
+            and -most_rad <= pitch - last.pitch_rad <= most_rad
+            and 0.0 <= thrust <= 1.0
+        ):  # or not a number
+            return False
+        self._last, self._last_s = target, now_s
+        return True
