@@ -90,7 +90,10 @@ def _reports(recorded: Sequence[tuple[Recording, RecordingClock]], topic: str, w
 
 
 def _happenings(recorded: Sequence[tuple[Recording, RecordingClock]], warn: Warn) -> Iterator[Happening]:
-    """Commands as the vehicles received them, and their answers; each once, however often its operator repeated it."""
+    """Commands as the vehicles received them, and their answers; each once, however often its operator repeated it.
+
+    An answer without a command is to a check (`--check`, a preview), which is recorded as an answer alone.
+    """
     for one, clock in recorded:
         fleet, vehicle_id = one.header.fleet, one.vehicle_id
         seen: set[tuple[str, str, int]] = set()
@@ -102,7 +105,7 @@ def _happenings(recorded: Sequence[tuple[Recording, RecordingClock]], warn: Warn
             seen.add(key)
             if message.topic == COMMAND:
                 yield describe_command(time_s, fleet, vehicle_id, value)
-            else:
+            elif (COMMAND, value.operator, value.number) in seen:
                 yield describe_reply(time_s, fleet, value)
 
 

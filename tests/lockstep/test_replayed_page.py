@@ -13,7 +13,10 @@ from companion.monitor.api import Snapshot
 from companion.monitor.recordings import NoFlightError, read_flight
 from companion.monitor.snapshot import Picture
 from companion.recording.reader import RecordingError
+from companion.types.commands import CommandReply
 from companion.types.flight import FlightPhase
+from companion.types.notices import Code
+from made_flights import records_of, write_recordings
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
 from sitl.report.progress import FlightProgress
@@ -72,6 +75,20 @@ def test_the_whole_flight_is_in_its_timeline(flight: tuple[Flown, Path]) -> None
     points = shown.picture.history().points
     assert any(v.error_to_slot_m is not None for point in points for v in point.vehicles)
     assert not any(v.armed for v in snapshot.vehicles)
+
+
+def test_an_answer_to_a_check_is_no_command_of_the_timeline(tmp_path: Path) -> None:
+    """`--check` and the previews of the page; the file has its answer, and no command."""
+    (start,) = records_of(1, 30.0)
+    now_s = start.span_s[0] + 15.0
+    check = CommandReply(1, 1_700_000_000_000, False, Code.SLOT_TOO_CLOSE, "too close", "anna@ground")
+    start.replies.append((now_s, check))
+    write_recordings(tmp_path, [start])
+    shown = Shown(tmp_path)
+    shown.play(32.0)
+    exchanged = [e for e in shown.picture.events.all() if e.kind in ("command", "answer")]
+    assert len(exchanged) == 2 * len({command.number for _, command in start.commands})
+    assert {e.outcome for e in exchanged if e.kind == "answer"} == {"accepted"}
 
 
 def test_the_report_of_the_flight_has_no_findings(
