@@ -318,7 +318,7 @@ class BatchLaws:
 
     def _fly_alone(self, kind: LawKind, error: Exception) -> None:
         kind.in_arrays = False
-        text = f"{raised_in_words(error)}; so it is flown vehicle by vehicle, which is slower"
+        text = f"flown vehicle by vehicle, slower and with the same result, as it takes no arrays ({raised_in_words(error)})"
         self.remarks |= dict.fromkeys(kind.laws, text)
 
     def _fail(self, column: int, error: Exception) -> None:

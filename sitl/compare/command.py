@@ -44,7 +44,9 @@ def run(options: CompareOptions) -> int:
             )
             flown = fly_all(workers, plan, progress, lambda: stop.number is not None)
         if not flown.flights:
-            print(f"stopped before any flight was complete; nothing in {folder}", file=sys.stderr)
+            if not any(folder.iterdir()):
+                folder.rmdir()
+            print("stopped before any flight was complete: those of a batch end together", file=sys.stderr)
             return stop.exit_code
         progress.begin("drawing")
         progress.show(0.0)

@@ -224,7 +224,7 @@ def write_results(order: FlightOrder, watch: FlightWatch, tracks: Tracks | None,
 
 # The figures of a formation that a summary has as well.
 FIGURES = [field.name for field in fields(FormationFigures) if field.name in RunSummary.__struct_fields__]
-DIGITS = {"duration_s": 3, "settle_s": 2, "first_within_s": 2}  # lengths have four
+DIGITS = {"duration_s": 3, "settle_s": 2}  # lengths have four
 
 
 def summarize(
@@ -242,6 +242,9 @@ def summarize(
     tracked = (
         tracking(flight.tracks, flight.slots, flight.reference, flight.formation, watch.leads()) if flight else None
     )
+    shown = {figure: _rounded(getattr(figures, figure, None), DIGITS.get(figure, 4)) for figure in FIGURES}
+    if watch.under_way_s:  # errors to slots that still move do not settle
+        shown["settle_s"] = None
     own = {i: scenario.stand_in_of(i) for i in ids_of(scenario)} if by_stand_ins else {}
     autopilots = end.real_autopilots or {i: one.autopilot for i, one in own.items()}
     sensors = {i: sensors_in_words(one) for i, one in own.items()}
@@ -257,7 +260,8 @@ def summarize(
         flight_s=round(end.flight_s, 1),
         real_time_factor=_rounded(end.real_time_factor, 3),
         pairs=[pair_name(pair) for pair in neighbouring_pairs(slots_enu_m)],
-        **{figure: _rounded(getattr(figures, figure, None), DIGITS.get(figure, 4)) for figure in FIGURES},
+        **shown,
+        under_way_s=watch.under_way_s,
         overload=watch.overload(),
         smallest_distance_m=_rounded(smallest_m),
         vehicles=[

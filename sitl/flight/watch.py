@@ -23,6 +23,7 @@ from sitl.report.summary import CommandGiven, ReportedEvent, TopologyChange, ove
 SAME_POSITION_S = 0.005  # two reports of one position differ by less, because the transport time varies
 LONGEST_REPORTED_S = 0.5  # for which one report stands
 FILTERED_M_S2 = 0.02  # a smaller change of the command by the separation filter is none
+NEARLY_THERE_S = 0.5  # a slot that moves for less by a report of the last tenth of a second has arrived
 SILENT_S = 3.0  # the agent of a flying vehicle that reports nothing for so long has failed
 
 
@@ -45,6 +46,9 @@ class FlightWatch:
         self.reported: dict[int, list[tuple[float, Vector3]]] = {vehicle_id: [] for vehicle_id in self.vehicle_ids}
         # r as leaders in formation reported it, by the time of the report.
         self.led_enu_m: list[tuple[float, Vector3]] = []
+        self.under_way_s: dict[
+            int, float
+        ] = {}  # at the end of the last formation: how long slots would still have moved
         self.slot_moved_s: dict[int, float] = {}  # when the slot of a vehicle last moved within the formation
         self._slots: dict[int, list[tuple[float, Vector3]]] = {vehicle_id: [] for vehicle_id in self.vehicle_ids}
         self.reference: list[tuple[float, Vector3]] = []  # r as leaders reported it, by mission time
@@ -233,6 +237,9 @@ class FlightWatch:
         if self._formed_from_s is not None:
             self.formations.append(Formation(self._formed_from_s, now_s, self._reference_start_s))
             self._formed_from_s = None
+            flying = [status for status in self.statuses() if status.phase is FlightPhase.FORMATION]
+            left_s = {status.agent.vehicle_id: status.formation.slot.moves_for_s for status in flying}
+            self.under_way_s = {i: round(seconds, 1) for i, seconds in left_s.items() if seconds > NEARLY_THERE_S}
 
     def overload(self) -> str | None:
         """What the agents measured beyond the limits of real time, in one line; None within them."""

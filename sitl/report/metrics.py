@@ -16,7 +16,6 @@ from typing import Literal
 import numpy as np
 
 from companion.analysis.interaction import FloatArray
-from companion.analysis.prediction import SETTLED_WITHIN_M
 from companion.analysis.prediction import settle_time_s as settle_time_s
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.errors import CompanionError
@@ -127,9 +126,8 @@ class FormationFigures:
     """Figures over the formation's interval; by pair "1-2" or by vehicle id.
 
     `settle_s`: from the formation's start to the time from which every vehicle stays within 10 cm of its slot; None if that
-    is less than 2 s before the end. `first_within_s`: when all were first within 10 cm at once, None if never.
-    `least_error_m`: the smallest value over time of the largest error. `final_error_m` (RMS distance to the slot) and
-    `final_distance_m` (mean) are of the last 2 s.
+    is less than 2 s before the end. `least_error_m`: the smallest value over time of the largest error.
+    `final_error_m` (RMS distance to the slot) and `final_distance_m` (mean) are of the last 2 s.
     """
 
     duration_s: float
@@ -139,7 +137,6 @@ class FormationFigures:
     final_distance_m: dict[str, float]
     reference_moves: bool
     settle_s: float | None
-    first_within_s: float | None
     least_error_m: float
     final_error_m: float
     final_error_of_vehicle_m: dict[int, float]
@@ -191,7 +188,6 @@ def formation_figures(
     reference_enu_m = reference_positions_m(reference, formation.reference_start_s, times_s)
     errors = {i: errors_m(tracks[i], slots[i], reference_enu_m, times_s) for i in sorted(tracks)}
     largest_m = np.max(list(errors.values()), axis=0)
-    within = np.flatnonzero(largest_m <= SETTLED_WITHIN_M)
     final = {i: rms(error_m[last]) for i, error_m in errors.items()}
     distances = {pair: distances_m(tracks, pair, times_s) for pair in pairs_of(tracks)}
     return FormationFigures(
@@ -202,7 +198,6 @@ def formation_figures(
         final_distance_m={pair_name(p): float(d[last].mean()) for p, d in distances.items()},
         reference_moves=bool(np.any(np.ptp(reference_enu_m, axis=0) > MOVES_M)),
         settle_s=settle_time_s(times_s, largest_m),
-        first_within_s=float(times_s[within[0]] - times_s[0]) if within.size else None,
         least_error_m=float(largest_m.min()),
         final_error_m=max(final.values()),
         final_error_of_vehicle_m=final,

@@ -9,6 +9,7 @@ from typing import TypeVar
 import msgspec
 from msgspec import Struct
 
+from companion.ground.answers import id_list
 from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
@@ -62,7 +63,8 @@ class RunSummary(Struct, frozen=True, kw_only=True):
     `tracks`: the source of distances and errors: true positions, of stand-ins or of real autopilots in their own simulation, or
     the estimates of external autopilots. `sensors` and `seed` are those of stand-ins. `overload`: the agents' timing beyond
     the limits of real time, None within them.
-    `first_within_s`, `least_error_m` and `reference_moves` are those of FormationFigures.
+    `least_error_m` and `reference_moves` are those of FormationFigures. `under_way_s`: for each vehicle whose
+    slot still moved to its place when the formation ended, for how long it would have moved.
     """
 
     schema: int = SCHEMA
@@ -84,8 +86,8 @@ class RunSummary(Struct, frozen=True, kw_only=True):
     final_distance_m: dict[str, float] | None
     reference_moves: bool | None = None
     settle_s: float | None
-    first_within_s: float | None = None
     least_error_m: float | None = None
+    under_way_s: dict[int, float] = {}
     final_error_m: float | None
     overload: str | None = None
     smallest_distance_m: float | None
@@ -104,7 +106,8 @@ def read_summary(path: Path) -> RunSummary:
 
 def in_words(summary: RunSummary) -> str:
     """The result as a few printed lines."""
-    head = f"{summary.scenario}, {summary.law}: " + (summary.failure or f"flown and landed in {summary.flight_s:.0f} s")
+    landed = f"{'did not arrive, ' if summary.under_way_s else 'flown and '}landed in {summary.flight_s:.0f} s"
+    head = f"{summary.scenario}, {summary.law}: {summary.failure or landed}"
     if summary.max_distance_m is None or summary.wanted_distance_m is None:
         return "\n".join([head, *_overload_lines(summary)])
     lines = [head, f"  formation         {summary.duration_s:.1f} s", *_autopilots(summary)]
@@ -113,11 +116,11 @@ def in_words(summary: RunSummary) -> str:
     pairs = summary.pairs
     if pairs:
         largest = _each({pair: summary.max_distance_m[pair] for pair in pairs}, "", digits=2)
-        wanted = "/".join(dict.fromkeys(f"{m:.2f}" for m in sorted(summary.wanted_distance_m[pair] for pair in pairs)))
-        lines.append(f"  largest distance  {largest}   (wanted {wanted} m)")
+        lines.append(f"  largest distance  {largest}   {_wanted(summary, summary.wanted_distance_m)}")
     if summary.smallest_distance_m is not None:
         lines.append(f"  smallest distance {summary.smallest_distance_m:.2f} m, of any two in the whole flight")
-    lines.append(f"{_settled(summary)}; final error {summary.final_error_m:.3f} m")
+    to_slots = ", to the slots on their way" if summary.under_way_s else ""
+    lines.append(f"{_settled(summary)}; final error {summary.final_error_m:.3f} m{to_slots}")
     lines.extend(_tracking_in_words(summary))
     lines.extend(_filter_in_words(summary))
     lines.extend(_answers_in_words(summary))
@@ -127,6 +130,16 @@ def in_words(summary: RunSummary) -> str:
         times = f"{factor:.0f}" if factor >= 10.0 else f"{factor:.2g}"  # large fleets are slower than real time
         lines.append(f"  virtual time      {times} times as fast as real time")
     return "\n".join(lines)
+
+
+def _wanted(summary: RunSummary, wanted_m: Mapping[str, float]) -> str:
+    """Beside the largest distances: one for all pairs, else one for each in their order, or that of the pair shown."""
+    if summary.under_way_s:
+        return "(slots still on their way)"
+    pairs, largest_m = summary.pairs, summary.max_distance_m or {}
+    shown = pairs if len(pairs) <= MAX_EACH else [max(pairs, key=lambda pair: largest_m[pair])]
+    each = [f"{wanted_m[pair]:.2f}" for pair in shown]
+    return f"(wanted {each[0] if len(set(each)) == 1 else ', '.join(each)} m)"
 
 
 def _autopilots(summary: RunSummary) -> list[str]:
@@ -145,14 +158,20 @@ def _are_real(summary: RunSummary) -> bool:
 
 def _settled(summary: RunSummary) -> str:
     """About a moving reference errors need not stay small: then the best that was reached is reported."""
+    if summary.under_way_s:
+        return f"  settled           never: {_under_way(summary.under_way_s)}"
     if summary.settle_s is not None:
         return f"  settled           {summary.settle_s:.1f} s to 10 cm"
     if not summary.reference_moves:
         errs = "" if summary.sensors in (None, "ideal") else f", with the errors of the sensors ({summary.sensors})"
         return f"  settled           never to 10 cm{errs}"
-    if summary.first_within_s is not None:
-        return f"  within 10 cm      first after {summary.first_within_s:.1f} s, about a moving reference"
-    return f"  smallest error    {summary.least_error_m:.3f} m of all vehicles at once, about a moving reference"
+    best = f"at best all were within {summary.least_error_m:.3f} m at once"
+    return f"  settled           never to 10 cm about a moving reference, where {best}"
+
+
+def _under_way(left_s: Mapping[int, float]) -> str:
+    """Which slots were on their way at the end, and for how long still."""
+    return f"the slots of {id_list(left_s)} were still on their way, for another {max(left_s.values()):.0f} s"
 
 
 def _overload_lines(summary: RunSummary) -> list[str]:
@@ -161,7 +180,9 @@ def _overload_lines(summary: RunSummary) -> list[str]:
 
 
 def _tracking_in_words(summary: RunSummary) -> list[str]:
-    lines = []
+    lines: list[str] = []
+    if summary.under_way_s:  # errors to slots on their way say nothing of the formation
+        return lines
     if about_rft := {v.id: v.tracking_error_m for v in summary.vehicles if v.tracking_error_m is not None}:
         lines.append(f"  tracking error    {_each(about_rft)}   (RMS about the RFT, second half)")
     if about_leader := {v.id: v.behind_leader_m for v in summary.vehicles if v.behind_leader_m is not None}:

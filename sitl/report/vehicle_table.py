@@ -50,6 +50,8 @@ class VehicleTable:
         """At most `room` lines; vehicles with flags, and silent ones, are the last to be left out."""
         flags = self._flags(vehicles, now_s)
         remarks = [line for one in _remarks(vehicles, flags) for line in wrap(one, COLUMNS, subsequent_indent="    ")]
+        if left_s := _slots_move_s(vehicles):
+            remarks.insert(0, f"  the slots are on their way for another {left_s:.0f} s; errors are to them")
         shown = list(vehicles)
         if room is not None and len(vehicles) > (rows := max(0, room - len(remarks) - 2)):
             first = sorted(vehicles, key=lambda vehicle: not (vehicle.silent or flags[vehicle.vehicle_id]))[:rows]
@@ -95,10 +97,17 @@ def _in_words(vehicles: Sequence[ReportedVehicle]) -> str:
     errors_m = {v.vehicle_id: v.error_to_slot_m for v in vehicles if v.status.phase in STREAMING and v.error_to_slot_m}
     if errors_m:
         worst = max(errors_m, key=lambda i: errors_m[i])
-        parts.append(f"at most {errors_m[worst]:.2f} m from the slot (vehicle {worst})")
+        way = f", slots on their way for {left_s:.0f} s" if (left_s := _slots_move_s(vehicles)) else ""
+        parts.append(f"at most {errors_m[worst]:.2f} m from the slot (vehicle {worst}){way}")
     if silent := [vehicle.vehicle_id for vehicle in vehicles if vehicle.silent]:
         parts.append(f"SILENT: {id_list(silent)}")
     return ", ".join(parts)
+
+
+def _slots_move_s(vehicles: Sequence[ReportedVehicle]) -> float:
+    """For how long the slots still move to their places, s; 0 where none does."""
+    flown = [vehicle.status for vehicle in vehicles if vehicle.status.phase in STREAMING]
+    return max((status.formation.slot.moves_for_s for status in flown), default=0.0)
 
 
 def _alike(flag: F) -> Set[F]:

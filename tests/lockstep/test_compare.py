@@ -114,7 +114,7 @@ def test_bad_input_and_old_names_are_one_line(arguments: tuple[object, ...], tex
 
 def test_ctrl_c_ends_all_processes_with_one_line(tmp_path: Path) -> None:
     """The workers get the signal too, as in a terminal."""
-    arguments = (PLATOON, "--seeds", 3000, "--seconds", 3600, "--out", tmp_path)
+    arguments = (PLATOON, "--seeds", 3000, "--seconds", 3600, "--out", tmp_path / "out")
     with subprocess.Popen(
         command("compare", *arguments),
         stdout=subprocess.PIPE,
@@ -127,7 +127,8 @@ def test_ctrl_c_ends_all_processes_with_one_line(tmp_path: Path) -> None:
         os.killpg(process.pid, signal.SIGINT)
         printed, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
-    assert errors == f"stopped before any flight was complete; nothing in {tmp_path}\n"
+    assert errors == "stopped before any flight was complete: those of a batch end together\n"
+    assert not (tmp_path / "out").exists()
     assert printed == ""
 
 

@@ -9,6 +9,7 @@ import pytest
 from common import with_fields
 from companion.ground.fleet_state import ReportedVehicle
 from companion.types.flight import FlightPhase, HealthFlag
+from companion.types.formation import FlownSlot
 from companion.wire.messages import StatusReport
 from ground_fleet import STATUS, TIMING
 from sitl.report.vehicle_table import VehicleTable
@@ -102,4 +103,12 @@ def test_a_file_gets_one_line_of_all_vehicles_and_their_flags() -> None:
         "  ! BATTERY_LOW, vehicle 2: battery below leave_below_percent",
     ]
     assert VehicleTable().brief(vehicles[:1], 10.0) == ["all formation"]
+    status = with_fields(STATUS, phase=P.FORMATION, slot=FlownSlot((1.0, 0.0, 0.0), moves_for_s=43.2))
+    flown = ReportedVehicle(StatusReport(status, TIMING), 0.1, 0.12, False, (), error_to_slot_m=0.004)
+    assert VehicleTable().brief([flown], 10.0) == [
+        "all formation, at most 0.00 m from the slot (vehicle 1), slots on their way for 43 s"
+    ]
+    assert (
+        VehicleTable().lines([flown], 10.0)[-1] == "  the slots are on their way for another 43 s; errors are to them"
+    )
     assert VehicleTable().brief([], 10.0) == [""]
