@@ -33,7 +33,6 @@ RESPONDS_S = 0.3  # attitude lag, a tick, and the transport of a packet
 STANDS_M_S = 0.1  # a slower approach is noise of the estimators
 STOPS_WITHIN_S = 0.5  # the velocity is braked away in so long, as far as the envelope allows
 OLDEST_S = 0.1  # of the position that a command was decided by
-WITHIN_M = 30.0  # of walls that are looked at
 ROUNDED_RAD = 1e-3
 SLEW_S = 0.1  # after a longer time without a setpoint a stream begins anew
 
@@ -52,10 +51,12 @@ class FullLimits:
 class CommandMonitor:
     """Passes a command on, or brakes."""
 
-    def __init__(self, separation_m: float, airspace: Airspace, envelope: FullLimits) -> None:
+    def __init__(self, separation_m: float, airspace: Airspace, limits: FullLimits) -> None:
         self._least_m = SHARE * separation_m
         self._airspace, self._is_box = airspace, airspace.is_box
-        self._envelope = envelope
+        self._limits = limits
+        weakest_m_s2 = min(limits.braking_m_s2, limits.braking_up_m_s2, limits.braking_down_m_s2)
+        self._stops_s2_m = 0.5 / (BRAKING_SHARE * weakest_m_s2)
         self._last, self._last_s = AttitudeTarget(0.0, 0.0, 0.0, 0.0), -inf
 
     def acceleration(
@@ -79,7 +80,8 @@ class CommandMonitor:
 
     def _meets(self, now_s: float, place: Vector3, velocity: Vector3, fresh: Mapping[int, PeerState]) -> bool:
         """Whether a cooperating vehicle would come too near although both brake: on a straight path relative to each other."""
-        (x, y, z), (vx, vy, vz), both_m_s2 = place, velocity, 2.0 * BRAKING_SHARE * self._envelope.braking_m_s2
+        (x, y, z), (vx, vy, vz), both_m_s2 = place, velocity, 2.0 * BRAKING_SHARE * self._limits.braking_m_s2
+        least_m2 = self._least_m * self._least_m
         for peer in fresh.values():
             packet = peer.packet
             if packet.phase is not FORMATION:
@@ -90,54 +92,49 @@ class CommandMonitor:
             ahead_s = age_s + RESPONDS_S
             dx, dy, dz = x - px - wx * age_s, y - py - wy * age_s, (z - pz - wz * age_s) * HEIGHT_WEIGHT
             rx, ry, rz = vx - wx - ax * ahead_s, vy - wy - ay * ahead_s, (vz - wz - az * ahead_s) * HEIGHT_WEIGHT
-            speed_m_s = sqrt(rx * rx + ry * ry + rz * rz)
-            if speed_m_s <= STANDS_M_S:
+            nears = -(dx * rx + dy * ry + dz * rz)
+            if nears <= 0.0:  # they part
                 continue
-            rx, ry, rz = rx / speed_m_s, ry / speed_m_s, rz / speed_m_s
-            nearest_m = -(dx * rx + dy * ry + dz * rz)  # the way to where they pass each other
-            if nearest_m > 0.0:
-                way_m = min(nearest_m, speed_m_s * RESPONDS_S + speed_m_s * speed_m_s / (2.0 * both_m_s2))
-                dx, dy, dz = dx + rx * way_m, dy + ry * way_m, dz + rz * way_m
-                if dx * dx + dy * dy + dz * dz < self._least_m * self._least_m:
+            speed_m_s = sqrt(rx * rx + ry * ry + rz * rz)
+            if speed_m_s > STANDS_M_S:
+                way_m, stop_m = nears / speed_m_s, speed_m_s * RESPONDS_S + speed_m_s * speed_m_s / (2.0 * both_m_s2)
+                share = (way_m if way_m < stop_m else stop_m) / speed_m_s  # to where they pass each other, or stand
+                dx, dy, dz = dx + rx * share, dy + ry * share, dz + rz * share
+                if dx * dx + dy * dy + dz * dz < least_m2:
                     return True
         return False
 
     def _leaves(self, place: Vector3, velocity: Vector3) -> bool:
         """Whether the vehicle could no longer stop before a wall of the fence or an obstacle."""
-        fence, envelope = self._airspace.fence, self._envelope
-        level_m_s2 = BRAKING_SHARE * envelope.braking_m_s2
-        up_m_s2, down_m_s2 = BRAKING_SHARE * envelope.braking_up_m_s2, BRAKING_SHARE * envelope.braking_down_m_s2
-        for p, v, low, high, before_low_m_s2, before_high_m_s2 in zip(
-            place,
-            velocity,
-            fence.min_enu_m,
-            fence.max_enu_m,
-            (level_m_s2, level_m_s2, up_m_s2),
-            (level_m_s2, level_m_s2, down_m_s2),
-            strict=True,
-        ):
-            room_m, braking_m_s2 = (p - low, before_low_m_s2) if v < 0.0 else (high - p, before_high_m_s2)
-            speed_m_s = abs(v)
-            if speed_m_s > STANDS_M_S and room_m < speed_m_s * RESPONDS_S + speed_m_s**2 / (2.0 * braking_m_s2):
-                return True
-        if self._is_box:
+        fence, limits = self._airspace.fence, self._limits
+        (x, y, z), (lx, ly, lz), (hx, hy, hz) = place, fence.min_enu_m, fence.max_enu_m
+        vx, vy, vz = velocity
+        speed_m_s = sqrt(vx * vx + vy * vy + vz * vz)
+        far_m = speed_m_s * RESPONDS_S + speed_m_s * speed_m_s * self._stops_s2_m
+        in_the_box = lx + far_m <= x <= hx - far_m and ly + far_m <= y <= hy - far_m and lz + far_m <= z <= hz - far_m
+        if self._is_box and in_the_box:
             return False
-        vx, vy, _ = velocity
-        for room_m, (nx, ny, _) in self._airspace.walls(place, WITHIN_M):
-            speed_m_s = -(nx * vx + ny * vy)
-            if speed_m_s > STANDS_M_S and room_m < speed_m_s * RESPONDS_S + speed_m_s**2 / (2.0 * level_m_s2):
+        gaps = fence.gaps(place, far_m)
+        gaps += [obstacle.gap(place) for obstacle in self._airspace.obstacles]
+        for room_m, (nx, ny, nz) in gaps:
+            speed_m_s = -(nx * vx + ny * vy + nz * vz)
+            most_m_s2 = limits.braking_m_s2
+            if nz != 0.0:
+                most_m_s2 = min(most_m_s2, limits.braking_up_m_s2 if nz > 0.0 else limits.braking_down_m_s2)
+            stop_m = speed_m_s * RESPONDS_S + speed_m_s * speed_m_s / (2.0 * BRAKING_SHARE * most_m_s2)
+            if speed_m_s > STANDS_M_S and room_m < stop_m:
                 return True
         return False
 
     def permits(self, now_s: float, vehicle: VehicleState, target: AttitudeTarget) -> bool:
         """Whether this target may be sent after the last one that was permitted."""
-        envelope, last = self._envelope, self._last
+        limits, last = self._limits, self._last
         roll, pitch, thrust = target.roll_rad, target.pitch_rad, target.thrust_norm
-        most_rad = inf if now_s - self._last_s > SLEW_S else envelope.max_tilt_rate_rad_s * SLEW_S + ROUNDED_RAD
+        most_rad = inf if now_s - self._last_s > SLEW_S else limits.max_tilt_rate_rad_s * SLEW_S + ROUNDED_RAD
         if not (
             now_s - vehicle.position_time_s <= OLDEST_S
             and isfinite(target.yaw_rad)
-            and hypot(roll, pitch) <= envelope.max_tilt_rad + ROUNDED_RAD
+            and hypot(roll, pitch) <= limits.max_tilt_rad + ROUNDED_RAD
             and -most_rad <= roll - last.roll_rad <= most_rad
             and -most_rad <= pitch - last.pitch_rad <= most_rad
             and 0.0 <= thrust <= 1.0
