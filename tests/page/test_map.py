@@ -110,10 +110,15 @@ def test_a_slot_is_dragged_and_the_vehicles_are_asked_again(open_page: OpenPage)
         stand_still(server)
         page = open_page(server.control_url)
         page.locator("summary", has_text="Formation").click()
+        page.get_by_label("Slots").select_option("diamond")
+        page.get_by_label("Spacing").fill("3")
         page.locator("[data-action=preview-formation]").click()
+        page.keyboard.press("Control+z")  # nothing was dragged: neither does it take back what was typed
+        expect(page.locator("#hint")).to_contain_text("nothing to take back")
+        expect(page.get_by_label("Spacing")).to_have_value("3")
         send, previewed = page.locator("[data-action=send-formation]"), page.locator(".previewed")
         expect(send).to_have_count(1)
-        x_m, y_m, _ = shape_slots(SHAPES["line"], 4, 3.0, 0.0)[1]
+        x_m, y_m, _ = shape_slots(SHAPES["diamond"], 4, 3.0, 0.0)[1]
         start, end = window_at(page, x_m, y_m), window_at(page, x_m + 2.0, y_m + 1.0)
         drag(page, start, (end[0] - start[0], end[1] - start[1]))
         expect(page.get_by_label("Slots")).to_have_value("a slot for each vehicle")
@@ -127,13 +132,13 @@ def test_a_slot_is_dragged_and_the_vehicles_are_asked_again(open_page: OpenPage)
         page.wait_for_timeout(400)
         assert place_at(page, *middle(page)) == here  # what is worked on stays where it is
         page.keyboard.press("Control+z")
-        expect(page.get_by_label("Slots")).to_have_value("line")
+        expect(page.get_by_label("Slots")).to_have_value("diamond")
         expect(send).to_have_count(1)
         until_shown(page, lambda: place_at(page, *middle(page))[0] > 30.0)
         expect(page.locator("#map-note button")).to_have_count(0)
         send.click()
         until_shown(page, lambda: bool(server.commands))
-        assert server.commands[0].content == {"shape": "line", "spacing_m": 3, "heading_deg": 0}
+        assert server.commands[0].content == {"shape": "diamond", "spacing_m": 3, "heading_deg": 0}
         expect(previewed).to_have_count(0)
 
 
@@ -187,6 +192,10 @@ def test_the_fleet_goes_to_a_place_that_is_clicked(open_page: OpenPage) -> None:
         stand_still(server)
         server.most_speed_m_s = 0.7
         page = open_page(server.control_url)
+        page.locator("summary", has_text="Reference").click()
+        for kind, label in (("circle", "Period"), ("circle", "Time to full speed"), ("waypoints", "Stop at each")):
+            page.get_by_label("Kind").select_option(kind)
+            page.get_by_label(label).fill("60")
         page.locator("[data-action=go]").click()
         expect(page.locator("#map-note")).to_contain_text("Click where the fleet is to go.")
         x, y = window_at(page, 2.0, -1.0)
@@ -197,6 +206,7 @@ def test_the_fleet_goes_to_a_place_that_is_clicked(open_page: OpenPage) -> None:
         until_shown(page, lambda: bool(server.commands))
         content = server.commands[0].content
         assert (content["kind"], content["max_speed_m_s"]) == ("waypoints", 0.7)
+        assert (content["wait_s"], content["max_acceleration_m_s2"]) == (0, 1)  # no other form's
         start, end = content["points_enu_m"]
         assert start == [0, 0, 5]
         assert end == pytest.approx([2.0, -1.0, 5.0], abs=0.15)

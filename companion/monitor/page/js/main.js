@@ -219,9 +219,10 @@ window.addEventListener("hashchange", () => {
 watchHolds(document);
 document.addEventListener("keydown", (event) => {
   const undoes = event.key.toLowerCase() === "z" && (event.ctrlKey || event.metaKey) && !event.shiftKey;
-  if (!undoes || !planning.canUndo || event.target.matches("input, select")) return;
-  event.preventDefault();
-  planning.undo();
+  if (!undoes || event.target.matches("input")) return;
+  event.preventDefault(); // the browser would take back what was typed last, in any form
+  if (planning.canUndo) planning.undo();
+  else if (store.preview) act.hint("Nothing was placed or dragged: there is nothing to take back.");
 });
 watchAbortKeys(
   ABORT_HOLD_S,

@@ -1,4 +1,4 @@
-/** The list of alarms: not acknowledged ones first, then by severity, then the newest. */
+/** The list of alarms: not acknowledged ones first, then those that last, then by severity, then the newest. */
 
 import { age, clock } from "../format.js";
 import { html, nothing, repeat } from "./lit.js";
@@ -38,5 +38,6 @@ function row(alarm, store, act) {
 }
 
 function byUrgency(a, b) {
-  return a.acknowledged - b.acknowledged || RANK[a.severity] - RANK[b.severity] || b.since_s - a.since_s;
+  const ended = (alarm) => Number(alarm.until_s !== null);
+  return a.acknowledged - b.acknowledged || ended(a) - ended(b) || RANK[a.severity] - RANK[b.severity] || b.since_s - a.since_s;
 }

@@ -38,7 +38,7 @@ function fleetChoice(store, act) {
   const fleets = store.snapshot?.fleets ?? [];
   if (fleets.length < 2) return store.fleetName ?? "No fleet";
   return html`<select aria-label="Fleet" @change=${(event) => act.chooseFleet(event.target.value)}>
-    ${fleets.map(({ name }) => html`<option value=${name} ?selected=${name === store.fleetName}>${name}</option>`)}
+    ${fleets.map(({ name }) => html`<option value=${name} .selected=${name === store.fleetName}>${name}</option>`)}
   </select>`;
 }
 

@@ -47,7 +47,7 @@ export function formationForm({ store, commanding, planning }) {
   return html`<details class="form"><summary>Formation</summary>
     <form data-form="formation" @submit=${submit} @input=${edited} @change=${changed}>
       <label>Slots <select name="shape">${[...SHAPES, SCALED, FREE].map((shape) => html`
-        <option ?selected=${shape === chosen}>${shape}</option>`)}</select></label>
+        <option .selected=${shape === chosen}>${shape}</option>`)}</select></label>
       ${SHAPES.includes(chosen) ? quantityInput("Spacing", "spacing_m", "m", 0.1, 1000) : nothing}
       ${chosen === SCALED ? quantityInput("Factor", "scale", "×", 0.01, 100) : nothing}
       ${chosen === FREE ? freeSlots(store) : html`${quantityInput("Heading", "heading_deg", "°", -360, 360)}

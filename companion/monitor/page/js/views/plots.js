@@ -61,7 +61,7 @@ export class Plots {
             stroke-width=${line.width} stroke-dasharray=${line.dash.join(" ")}></line></svg>${line.label}</li>`)}
           <li><span class="marker" aria-hidden="true">┊</span>command</li></ul>
         <label class="quiet">Last <select @change=${choose}>${Object.entries(SPANS_S).map(([value, text]) => html`
-          <option value=${value} ?selected=${Number(value) === this._spanS}>${text}</option>`)}</select></label></div>
+          <option value=${value} .selected=${Number(value) === this._spanS}>${text}</option>`)}</select></label></div>
       <div class="plot-row" role="group" aria-label="Plots over time" tabindex="0">${PLOTS.map(({ title, unit }) => html`<figure class="plot">
         <figcaption><span>${title} (${unit})</span><output></output></figcaption></figure>`)}</div>`;
   }

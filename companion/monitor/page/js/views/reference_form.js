@@ -10,10 +10,12 @@ const KINDS = JSON.parse(document.getElementById("reference-forms").textContent)
 export const WAYPOINTS = KINDS.find(({ kind }) => kind === "waypoints");
 
 let chosen = KINDS[0];
+const entered = new Map(); // of each kind what was changed in its inputs, by name: they keep nothing of another kind
 
-/** The form has this kind from now on. */
+/** The form has this kind from now on, with its defaults. */
 export function kindOf(kind) {
   chosen = kind;
+  entered.delete(kind.kind);
 }
 
 export function referenceForm({ store, commanding, planning }) {
@@ -26,11 +28,15 @@ export function referenceForm({ store, commanding, planning }) {
     event.preventDefault();
     commanding.preview("reference", contentOf(new FormData(event.target), points));
   };
+  const changed = ({ target: { name, type, value, checked } }) => {
+    if (!chosen.inputs.some((input) => input.name === name)) return;
+    entered.set(chosen.kind, { ...entered.get(chosen.kind), [name]: type === "checkbox" ? checked : value });
+  };
   const edited = () => store.preview?.name === "reference" && commanding.discard();
   return html`<details class="form"><summary>Reference</summary>
-    <form data-form="reference" @submit=${submit} @input=${edited}>
+    <form data-form="reference" @submit=${submit} @input=${edited} @change=${changed}>
       <label>Kind <select name="kind" @change=${choose}>${KINDS.map(({ kind, title }) => html`
-        <option value=${kind} ?selected=${kind === chosen.kind}>${title}</option>`)}</select></label>
+        <option value=${kind} .selected=${kind === chosen.kind}>${title}</option>`)}</select></label>
       <label>Altitude <span class="unit"><input name="altitude_m" type="number" step="any" min="-1000" max="1000" required
         .value=${String(planning.altitudeM)} @change=${(event) => planning.setAltitude(Number(event.target.value))}> m</span></label>
       ${chosen.inputs.map(inputOf)}
@@ -40,11 +46,12 @@ export function referenceForm({ store, commanding, planning }) {
     ${previewed({ store, commanding, planning }, "reference")}</details>`;
 }
 
-function inputOf({ name, title, type, value, unit, min, max, pattern }) {
-  if (type === "checkbox") return html`<label class="check"><input type="checkbox" name=${name}> ${title}</label>`;
-  if (type === "text") return html`<label>${title} <input name=${name} value=${value} required pattern=${pattern}></label>`;
+function inputOf({ name, title, type, value: initial, unit, min, max, pattern }) {
+  const value = entered.get(chosen.kind)?.[name] ?? initial;
+  if (type === "checkbox") return html`<label class="check"><input type="checkbox" name=${name} .checked=${value === true}> ${title}</label>`;
+  if (type === "text") return html`<label>${title} <input name=${name} .value=${value} required pattern=${pattern}></label>`;
   return html`<label>${title} <span class="unit"><input name=${name} type="number" step="any"
-    required min=${min} max=${max} value=${value}> ${unit}</span></label>`;
+    required min=${min} max=${max} .value=${String(value)}> ${unit}</span></label>`;
 }
 
 function placing(store, points, planning) {

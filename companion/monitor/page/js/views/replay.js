@@ -21,7 +21,7 @@ export function replay({ store, replaying, widthPx: { replay: widthPx } }) {
     ${timeline({ mission: store.mission, beginS, endS, nowS, widthPx, onPlace: (timeS) => replaying.seek(timeS) })}
     <button class="play" title="K" @click=${() => replaying.toggle()}>${paused ? "▶ Play" : "❚❚ Pause"}</button>
     <label>Speed <select title="U slower, O faster" @change=${(event) => replaying.setSpeed(Number(event.target.value))}>
-      ${speeds.map((value) => html`<option value=${value} ?selected=${value === speed}>${value} ×</option>`)}
+      ${speeds.map((value) => html`<option value=${value} .selected=${value === speed}>${value} ×</option>`)}
     </select></label>
     ${jumps("event", replaying, false)}${jumps("finding", replaying, true)}
     <span class="time">${elapsed(shownS)}</span>
