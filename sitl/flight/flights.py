@@ -351,6 +351,8 @@ def run_flights(options: FlightOptions, prepare: Prepare) -> int:
         stem = f"{name}-{scenario.fleet.law.name}"
         with prepare(scenario) as fly_once, open_folder(options.out, stem) as folder:
             _show(warnings, options.quiet)
+            if (changed := _changed(options.overrides)) and not options.quiet:
+                print(changed, flush=True)
             if options.others is None:
                 return _fly_one(FlightOrder(scenario, name, folder, stop), fly_once)
             return _fly_laws(scenarios, name, folder, fly_once, stop)
@@ -384,6 +386,12 @@ def _show(warnings: list[str], quiet: bool) -> None:
     """What is wrong is never kept quiet, only what is expected."""
     shown = [line for line in warnings if line.startswith(WARNING)] if quiet else warnings
     print("".join(f"{line}\n" for line in shown), end="", flush=True, file=sys.stderr if quiet else sys.stdout)
+
+
+def _changed(overrides: Sequence[str]) -> str:
+    """What of the scenario is set otherwise, but the law, which the result names; empty where nothing is."""
+    others = [one for one in overrides if not one.startswith("fleet.law.name=")]
+    return f"changed: {', '.join(others)}" if others else ""
 
 
 WARNING = "warning, "

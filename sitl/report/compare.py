@@ -58,11 +58,11 @@ def compare(summaries: Sequence[RunSummary]) -> Comparison:
 
 
 def _settling_row(summaries: Sequence[RunSummary]) -> ComparisonRow:
-    """About a moving reference a law may never settle: then the smallest error of all vehicles at once is compared."""
+    """About a moving reference a law may never settle: then the largest error of the second half is compared."""
     settles = any(s.settle_s is not None or not s.reference_moves for s in summaries)
     if settles:
         return _row("settled to 10 cm", "s", {s.law: s.settle_s for s in summaries})
-    return _row("smallest error of all", "m", {s.law: s.least_error_m for s in summaries})
+    return _row("largest error", "m", {s.law: s.largest_error_m for s in summaries})
 
 
 def _largest(values: Iterable[float | None]) -> float | None:

@@ -126,7 +126,7 @@ class FormationFigures:
     """Figures over the formation's interval; by pair "1-2" or by vehicle id.
 
     `settle_s`: from the formation's start to the time from which every vehicle stays within 10 cm of its slot; None if that
-    is less than 2 s before the end. `least_error_m`: the smallest value over time of the largest error.
+    is less than 2 s before the end. `largest_error_m`: of any vehicle in the second half.
     `final_error_m` (RMS distance to the slot) and `final_distance_m` (mean) are of the last 2 s.
     """
 
@@ -137,7 +137,7 @@ class FormationFigures:
     final_distance_m: dict[str, float]
     reference_moves: bool
     settle_s: float | None
-    least_error_m: float
+    largest_error_m: float
     final_error_m: float
     final_error_of_vehicle_m: dict[int, float]
 
@@ -198,7 +198,7 @@ def formation_figures(
         final_distance_m={pair_name(p): float(d[last].mean()) for p, d in distances.items()},
         reference_moves=bool(np.any(np.ptp(reference_enu_m, axis=0) > MOVES_M)),
         settle_s=settle_time_s(times_s, largest_m),
-        least_error_m=float(largest_m.min()),
+        largest_error_m=float(largest_m[times_s.size // 2 :].max()),
         final_error_m=max(final.values()),
         final_error_of_vehicle_m=final,
     )

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
 
 from companion.analysis.interaction import FloatArray
 from companion.geometry.airspace import Airspace
@@ -45,7 +46,14 @@ EDGE = "#999999"
 LEADS: dict[str, Any] = {"marker": "s", "markersize": 8, "linestyle": ""}
 FOLLOWS: dict[str, Any] = LEADS | {"marker": "o", "markerfacecolor": "white", "markeredgewidth": 1.5}
 ELSEWHERE: dict[str, Any] = LEADS | {"marker": "x", "markeredgewidth": 1.5}
-BESIDE: dict[str, Any] = {"xytext": (6, 6), "textcoords": "offset points", "fontsize": 8}
+BESIDE: dict[str, Any] = {
+    "xytext": (6, 6),
+    "textcoords": "offset points",
+    "fontsize": 8,
+    "fontweight": "bold",
+    "zorder": 5,
+    "path_effects": [withStroke(linewidth=3, foreground="white")],  # read on lines, too
+}
 
 
 class FlightRecord(Protocol):

@@ -39,6 +39,14 @@ PAIRS_SHOWN = 7  # each with a curve of its own; of more pairs the nearest and t
 EXTREMES = 3  # as many of each
 MIN_SPAN_M = 1.0  # smallest range of an axis
 
+AT_END: dict[str, Any] = {
+    "xycoords": ("axes fraction", "data"),
+    "xytext": (4, 0),
+    "textcoords": "offset points",
+    "va": "center",
+    "fontsize": 8,
+    "annotation_clip": False,
+}
 TIME_LABEL = "time since the start of the formation [s]"
 POSITIONS: dict[TrackSource, str] = {"true": "true positions", "estimated": "positions as estimated by the vehicles"}
 LAW_TITLES = {
@@ -129,43 +137,48 @@ def draw_positions(axes: Axes, flight: FormationFlight, axis: int) -> None:
 
 
 def draw_distances(axes: Axes, flight: FormationFlight) -> None:
-    """The distance of every drawn pair, largest values in the legend; thin dotted lines are the wanted distances."""
+    """The distance of every drawn pair, largest values in the legend; dotted lines are the wanted distances at the end.
+
+    Where those of a few pairs differ, each has the name of its pair at its end, in the colour of the first vehicle.
+    """
     times_s = _times_s(flight)
     since_s = times_s - flight.formation.start_s
     curves_m = {pair: distances_m(flight.tracks, pair, times_s) for pair in flight.pairs}
+    wanted_m = {pair: round(float(distances_m(flight.slots, pair, times_s[-1:])[0]), 2) for pair in flight.pairs}
+    several = len(flight.pairs) <= PAIRS_SHOWN and len(set(wanted_m.values())) > 1
     shown = _shown(curves_m, times_s >= flight.formation.start_s)
     others_m = [distance_m for pair, distance_m in curves_m.items() if pair not in shown]
     if others_m:
         axes.plot(since_s, np.transpose(others_m), color="#b0b0b0", linewidth=0.6, zorder=1.8)
         axes.plot([], [], color="#b0b0b0", linewidth=0.6, label=f"{len(others_m)} other pairs")
     for index, (pair, range_m) in enumerate(shown.items()):
-        label = f"{pair_name(pair)}, {range_m}"
-        axes.plot(since_s, curves_m[pair], label=label, **marked_pair_look(pair, index, times_s.size))
+        label, look = f"{pair_name(pair)}, {range_m}", marked_pair_look(pair, index, times_s.size)
+        if several:
+            label = f"{label}, wanted at the end {wanted_m[pair]:.2f} m"
+            axes.axhline(wanted_m[pair], **GUIDE | {"color": look["color"], "linewidth": 1.6})
+            axes.annotate(pair_name(pair), (1.0, wanted_m[pair]), **AT_END, color=look["color"])
+        axes.plot(since_s, curves_m[pair], label=label, **look)
     if not flight.pairs:
         axes.text(0.5, 0.5, "one vehicle has no inter-distance", transform=axes.transAxes, ha="center")
-    wanted_m = sorted({round(float(distances_m(flight.slots, pair, times_s[-1:])[0]), 3) for pair in flight.pairs})
-    for value_m in wanted_m:
-        axes.axhline(value_m, **GUIDE)
-    if wanted_m:
-        axes.plot(
-            [], [], **GUIDE, label="wanted, " + " and ".join(dict.fromkeys(f"{value_m:.2f} m" for value_m in wanted_m))
-        )
+    if flight.pairs and not several:
+        values_m = sorted(set(wanted_m.values()))
+        for value_m in values_m:
+            axes.axhline(value_m, **GUIDE)
+        axes.plot([], [], **GUIDE, label="wanted, " + " and ".join(f"{value_m:.2f} m" for value_m in values_m))
+    if flight.pairs:
         _legend_of_distances(axes, len(flight.pairs))
     dress_time(axes, since_s)
 
 
 def _legend_of_distances(axes: Axes, pairs: int) -> None:
-    """Inside the axes for few pairs, else below them."""
-    if pairs > PAIRS_SHOWN:
-        where: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": 2, "frameon": False}
-        axes.legend(**where, fontsize=7, handlelength=3.5, columnspacing=1.0)
-    else:
-        axes.legend(loc="upper right", fontsize=8, framealpha=0.9, handlelength=3.5)
+    """Below the axes, where it covers no curve."""
+    where: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": 2, "frameon": False}
+    axes.legend(**where, fontsize=7 if pairs > PAIRS_SHOWN else 8, handlelength=3.5, columnspacing=1.0)
 
 
 def _height_of_legends_in(pairs: int) -> float:
     """Extra height of the figure for a legend below the axes."""
-    return 0.8 if pairs > PAIRS_SHOWN else 0.0
+    return 0.8 if pairs > PAIRS_SHOWN else 0.25 + 0.1 * pairs
 
 
 def _shown(curves_m: dict[Pair, FloatArray], inside: NDArray[np.bool_]) -> dict[Pair, str]:

@@ -63,7 +63,7 @@ class RunSummary(Struct, frozen=True, kw_only=True):
     `tracks`: the source of distances and errors: true positions, of stand-ins or of real autopilots in their own simulation, or
     the estimates of external autopilots. `sensors` and `seed` are those of stand-ins. `overload`: the agents' timing beyond
     the limits of real time, None within them.
-    `least_error_m` and `reference_moves` are those of FormationFigures. `under_way_s`: for each vehicle whose
+    `largest_error_m` and `reference_moves` are those of FormationFigures. `under_way_s`: for each vehicle whose
     slot still moved to its place when the formation ended, for how long it would have moved.
     """
 
@@ -86,7 +86,7 @@ class RunSummary(Struct, frozen=True, kw_only=True):
     final_distance_m: dict[str, float] | None
     reference_moves: bool | None = None
     settle_s: float | None
-    least_error_m: float | None = None
+    largest_error_m: float | None = None
     under_way_s: dict[int, float] = {}
     final_error_m: float | None
     overload: str | None = None
@@ -157,7 +157,7 @@ def _are_real(summary: RunSummary) -> bool:
 
 
 def _settled(summary: RunSummary) -> str:
-    """About a moving reference errors need not stay small: then the best that was reached is reported."""
+    """About a moving reference errors need not stay small: then the largest of the second half is reported."""
     if summary.under_way_s:
         return f"  settled           never: {_under_way(summary.under_way_s)}"
     if summary.settle_s is not None:
@@ -165,8 +165,8 @@ def _settled(summary: RunSummary) -> str:
     if not summary.reference_moves:
         errs = "" if summary.sensors in (None, "ideal") else f", with the errors of the sensors ({summary.sensors})"
         return f"  settled           never to 10 cm{errs}"
-    best = f"at best all were within {summary.least_error_m:.3f} m at once"
-    return f"  settled           never to 10 cm about a moving reference, where {best}"
+    most = f"at most {summary.largest_error_m:.3f} m off in the second half"
+    return f"  settled           never to 10 cm about a moving reference; {most}"
 
 
 def _under_way(left_s: Mapping[int, float]) -> str:

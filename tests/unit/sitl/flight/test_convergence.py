@@ -111,7 +111,8 @@ def test_what_is_to_be_expected_of_a_law_is_no_warning(
     )
     with pytest.raises(SystemExit, match="0"):
         sitl()
-    assert capsys.readouterr().out.splitlines()[:2] == [
+    assert capsys.readouterr().out.splitlines()[:3] == [
         "expected of weighted: swings before it settles, damping 0.22 of 1 (BADLY_DAMPED)",
         "expected of weighted: swings grow up to 3.91 times to the rear (ERRORS_GROW)",
+        "changed: timeline[3].for_s=1",
     ]
