@@ -197,7 +197,7 @@ class Snapshot(Struct, frozen=True, kw_only=True, tag_field="type", tag="snapsho
     version: int = API_VERSION
     number: int  # rises by one
     time_s: float
-    may_control: bool  # with --control: commands are accepted, with the token
+    commands: str  # with --control: the fleet that is commanded, with the token, also before it reports; else empty
     operator: str
     connected: tuple[str, ...]  # endpoints of vehicles that this server is connected to
     unreachable: tuple[str, ...]

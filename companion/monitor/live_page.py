@@ -69,7 +69,7 @@ def _show_vehicles(options: LivePage, address: Address, tiles: Tiles | None) -> 
             LiveSource(session, options.endpoints),
             {fleet.name: fleet} if fleet else {},
             session.operator,
-            may_control=commanded is not None,
+            commands=commanded.name if commanded else "",
             endpoints_are_guessed=options.endpoints_are_guessed,
         )
         if options.mavlink is not None:

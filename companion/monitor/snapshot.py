@@ -57,13 +57,13 @@ class Picture:
         self,
         fleets: Mapping[str, FleetConfig],
         operator: str,
-        may_control: bool = False,
+        commands: str = "",
         events_kept: int = EVENTS_KEPT,
     ) -> None:
         self._files = fleets
         self._hashes = {name: fleet.formation_hash() for name, fleet in fleets.items()}
         self._operator = operator
-        self._may_control = may_control
+        self._commands = commands
         self.alarms = AlarmList()
         self.events = EventLog(events_kept)
         self._number = 0
@@ -136,7 +136,7 @@ class Picture:
         return Snapshot(
             number=self._number,
             time_s=time_s,
-            may_control=self._may_control,
+            commands=self._commands,
             operator=self._operator,
             connected=connected,
             unreachable=unreachable,

@@ -43,13 +43,13 @@ class Station:
         source: Source,
         fleets: Mapping[str, FleetConfig],
         operator: str,
-        may_control: bool = False,
+        commands: str = "",
         endpoints_are_guessed: bool = False,
     ) -> None:
         """With `endpoints_are_guessed` those that are not reached are shown while no vehicle reports."""
         self._source = source
         self._guessed = endpoints_are_guessed
-        self._picture = Picture(fleets, operator, may_control)
+        self._picture = Picture(fleets, operator, commands)
         self._fleets = fleets
         self._flight: asyncio.Task[FlightView] | None = None
         self._connected: tuple[str, ...] = ()

@@ -125,7 +125,7 @@ def monitored_snapshot(*vehicles: VehicleView, **changes: object) -> Snapshot:
     plain = Snapshot(
         number=1,
         time_s=1_700_000_000.0,
-        may_control=False,
+        commands="",
         operator="anna@ground",
         connected=(),
         unreachable=("tcp/127.0.0.1:7448",),
@@ -187,7 +187,7 @@ async def served(
     logs: Path | None = None,
 ) -> AsyncIterator[Served]:
     """With a session commands are accepted."""
-    station = Station(source, {fleet.name: fleet}, "anna@ground", may_control=session is not None)
+    station = Station(source, {fleet.name: fleet}, "anna@ground", commands=fleet.name if session else "")
     commander = Commander(session, fleet, station.log) if session else None
     site = Site(station, commander, TOKEN, open_tiles(tiles) if tiles else None, GroundLogs(logs))
     listening = socket.create_server(("127.0.0.1", 0))

@@ -317,7 +317,7 @@ class PageServer:
         return Snapshot(
             number=self._number,
             time_s=now_s,
-            may_control=self.may_control,
+            commands=self.fleet_name if self.may_control else "",
             operator="ground-anna",
             connected=tuple(f"tcp/192.168.1.{10 + i}:7447" for i in range(len(vehicles))),
             unreachable=self.unreachable,

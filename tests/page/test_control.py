@@ -115,6 +115,12 @@ def test_the_next_command_is_marked_and_one_that_is_refused_says_why(open_page: 
         all_in("formation", "in_air")
         expect(marked).to_have_count(0)
         expect(next_step).to_have_text("")
+        all_in("hold", "in_air")  # after an ABORT it is up to the operator
+        page.locator("tbody.vehicle[data-id='1']").get_by_text("hold").wait_for()
+        expect(marked).to_have_count(0)
+        server.change = lambda vs: [replace(v, phase="observe" if v is vs[0] else "takeoff") for v in vs]
+        page.locator("tbody.vehicle[data-id='1']").get_by_text("observe").wait_for()
+        expect(marked).to_have_count(0)  # one has landed while others fly
 
 
 def test_a_formation_is_previewed_before_it_can_be_sent(open_page: OpenPage) -> None:
@@ -209,8 +215,9 @@ def test_shift_escape_aborts_from_everywhere_when_it_is_held(open_page: OpenPage
         assert [(command.name, command.vehicle_ids) for command in server.commands] == [("abort", ())]
 
 
-def test_the_abort_button_is_held_for_half_a_second(open_page: OpenPage) -> None:
+def test_the_abort_button_is_held_for_half_a_second_also_before_any_report(open_page: OpenPage) -> None:
     with PageServer(may_control=True) as server:
+        server.unreachable = ("tcp/192.168.1.10:7447: no answer",)
         page = open_page(server.control_url, width=390, height=844)
         abort = page.locator("#abort")
         expect(abort).to_be_in_viewport()
@@ -221,7 +228,9 @@ def test_the_abort_button_is_held_for_half_a_second(open_page: OpenPage) -> None
         page.mouse.down()
         page.wait_for_timeout(HELD_MS)
         page.mouse.up()
-        until_shown(page, lambda: [command.name for command in server.commands] == ["abort"])
+        until_shown(page, lambda: [(sent.fleet, sent.name) for sent in server.commands] == [("ring", "abort")])
+        expect(page.locator("[data-action=hold]")).to_be_disabled()
+        expect(page.locator("#control")).to_contain_text("No vehicle reports yet")
 
 
 def test_an_alarm_is_acknowledged_by_a_page_with_the_token(open_page: OpenPage) -> None:

@@ -54,7 +54,7 @@ def test_no_command_without_the_token(token: str | None) -> None:
         for path in ("commands", "preview"):
             status, answer = await server.post(f"/api/v1/{path}", {"fleet": "load", "name": "abort"}, **headers)
             assert (status, "token" in answer["error"]) == (403, True)
-        assert (await server.get("/api/v1/snapshot"))[1]["may_control"] is True
+        assert (await server.get("/api/v1/snapshot"))[1]["commands"] == "load"
         assert vehicles.commands == []
 
     with_fleet(work)

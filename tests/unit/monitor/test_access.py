@@ -128,7 +128,7 @@ def test_without_control_no_command_is_accepted() -> None:
                 f"/api/v1/{path}", {"fleet": "load", "name": "land"}, **{TOKEN_HEADER: ""}
             )
             assert (status, "--control" in answer["error"]) == (403, True)
-        assert (await server.get("/api/v1/snapshot"))[1]["may_control"] is False
+        assert (await server.get("/api/v1/snapshot"))[1]["commands"] == ""
         assert await server.get("/api/v1/control", **{TOKEN_HEADER: ""}) == (200, {"allowed": False})
 
     with_server(work)

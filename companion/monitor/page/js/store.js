@@ -4,6 +4,7 @@ import { get } from "./api.js";
 import { Freshness } from "./freshness.js";
 import { History } from "./history.js";
 import { missionOf } from "./mission.js";
+import { FLYING } from "./phases.js";
 import { Trails } from "./trails.js";
 
 const KEPT_EVENTS = 2000; // as many as the server keeps
@@ -25,6 +26,7 @@ export class Store {
     this.events = []; // newest first
     this.armed = new Map(); // of each vehicle that waits for its take-off, when it was armed
     this.disarmed = new Map(); // of each that was armed and did not take off, when it was disarmed
+    this.formed = new Set(); // those that fly and were in formation
     this.logs = null; // LogsView: the files of flights on the ground
     this._logsNextMs = 0; // when they are asked for again
     this.flight = null; // of a replay: what happened in all of it
@@ -43,8 +45,9 @@ export class Store {
     this._led = {}; // who led when the page first saw this fleet
   }
 
+  /** The chosen fleet; before any vehicle reports that which the page commands: ABORT is for it. */
   get fleetName() {
-    return this._fleetName ?? this.snapshot?.fleets[0]?.name ?? null;
+    return this._fleetName ?? this.snapshot?.fleets[0]?.name ?? (this.snapshot?.commands || null);
   }
 
   get fleet() {
@@ -83,7 +86,7 @@ export class Store {
 
   /** Those that the page can command now. */
   get controls() {
-    return Boolean(this.snapshot?.may_control) && !this.snapshot.replay;
+    return Boolean(this.snapshot?.commands) && !this.snapshot.replay;
   }
 
   chooseFleet(name) {
@@ -125,6 +128,8 @@ export class Store {
   _acceptArmed() {
     for (const { vehicle_id: id, phase, silent } of this.vehicles) {
       if (silent) continue;
+      if (!FLYING.has(phase)) this.formed.delete(id);
+      else if (phase !== "takeoff" && phase !== "hold") this.formed.add(id);
       if (phase !== "observe") this.disarmed.delete(id);
       if (phase === "armed") this.armed.set(id, this.armed.get(id) ?? this.snapshot.time_s);
       else if (this.armed.delete(id) && phase === "observe") this.disarmed.set(id, this.snapshot.time_s);
@@ -196,6 +201,7 @@ export class Store {
     this.history.clear();
     this.armed.clear();
     this.disarmed.clear();
+    this.formed.clear();
     this.events = [];
     this._led = {};
     this.loadHistory();

@@ -1,5 +1,6 @@
 /** The buttons of the phase commands: which one comes next, and which the vehicles would refuse. They decide, not the page. */
 
+import { FLYING } from "../phases.js";
 import { html, nothing } from "./lit.js";
 
 // Those with a hold time change what the vehicles do in a way that an accidental touch must not.
@@ -22,15 +23,23 @@ const SAID_S = 60;
 
 export function actions({ store, commanding, nowMs, act }) {
   const ids = commanding.targets;
-  const vehicles = store.vehicles.filter((vehicle) => !vehicle.silent && (!ids?.length || ids.includes(vehicle.vehicle_id)));
-  const next = nextOf(vehicles);
+  const meant = store.vehicles.filter((vehicle) => !ids?.length || ids.includes(vehicle.vehicle_id));
+  const vehicles = meant.filter((vehicle) => !vehicle.silent);
+  const next = nextOf(meant, store.formed);
   return html`<div class="actions">${ACTIONS.map((action) => button(action, { vehicles, next, commanding, act }))}</div>
     <p class="next-step" role="status">${step(next, vehicles, store, nowMs)}</p>`;
 }
 
-/** The command that takes most of them on: the first one of arm, takeoff and form that a vehicle waits for. */
-export function nextOf(vehicles) {
-  return ON_THE_WAY.find((name) => vehicles.some((vehicle) => accepts(name, vehicle))) ?? null;
+/**
+ * The command that takes them on together: the first one of arm, takeoff and form that a vehicle waits for. None where
+ * something went wrong: one is missing or in trouble in the air, some have landed, or they have left the formation.
+ */
+function nextOf(vehicles, formed) {
+  const flying = vehicles.filter(({ phase, silent, armed }) => FLYING.has(phase) || (silent && armed));
+  if (flying.some(({ silent, flags }) => silent || flags.some(({ severity }) => severity === "critical"))) return null;
+  const next = ON_THE_WAY.find((name) => vehicles.some((vehicle) => !vehicle.silent && accepts(name, vehicle)));
+  if (next === "arm" && flying.length) return null;
+  return next === "form" && vehicles.every(({ vehicle_id: id, phase }) => phase !== "hold" || formed.has(id)) ? null : (next ?? null);
 }
 
 function accepts(name, { phase, landed }) {
@@ -57,7 +66,7 @@ function button(action, { vehicles, next, commanding, act }) {
 function step(next, vehicles, store, nowMs) {
   const timeS = store.snapshot.time_s + (store.freshness.ageS(nowMs) ?? 0);
   const armed = vehicles.filter((vehicle) => store.armed.has(vehicle.vehicle_id)).map((vehicle) => store.armed.get(vehicle.vehicle_id));
-  if (armed.length) {
+  if (armed.length && next === "takeoff") {
     const leftS = Math.max(0, Math.ceil(Math.min(...armed) + DISARM_S - timeS));
     return html`Next: <strong>Take off</strong>${leftS ? html` within <strong>${leftS} s</strong>` : " now"}: autopilots disarm some ${DISARM_S} s
       after they were armed.`;
@@ -65,7 +74,7 @@ function step(next, vehicles, store, nowMs) {
   const again = vehicles.filter((vehicle) => timeS - (store.disarmed.get(vehicle.vehicle_id) ?? -Infinity) < SAID_S);
   if (again.length) {
     return html`<strong class="warning">Vehicle ${again.map((vehicle) => vehicle.vehicle_id).join(", ")} disarmed again</strong>: no take-off
-      within some ${DISARM_S} s after arming. Next: <strong>Arm</strong>.`;
+      within some ${DISARM_S} s after arming.${next === "arm" ? html` Next: <strong>Arm</strong>.` : nothing}`;
   }
   return next ? html`Next: <strong>${ACTIONS.find((action) => action.name === next).title}</strong>.` : nothing;
 }

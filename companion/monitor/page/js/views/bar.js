@@ -14,7 +14,7 @@ export function bar({ store, nowMs, theme, sound, abort, act }) {
       ${liveness(store, nowMs)}
       <span class="clock" title="Time of the shown data">${clock(snapshot?.time_s)}</span>
       <span class="links">${links(snapshot)}</span>
-      ${snapshot?.may_control ? html`<span class="operator">operator ${snapshot.operator}</span>` : nothing}
+      ${snapshot?.commands ? html`<span class="operator">operator ${snapshot.operator}</span>` : nothing}
     </div>
     <div class="bar-right">
       <button class="alarm-count ${worst(open)}" @click=${() => act.tab("alarms")}

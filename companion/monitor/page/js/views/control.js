@@ -6,6 +6,9 @@ import { answers } from "./answers.js";
 import { formationForm } from "./formation_form.js";
 import { referenceForm } from "./reference_form.js";
 
+const WITHOUT_DATA = "No control without live data. ABORT is still sent if the server can be reached.";
+const WITHOUT_VEHICLES = "No vehicle reports yet, so none can be commanded. ABORT is still sent to all.";
+
 export function control({ store, commanding, planning, nowMs, act }) {
   if (!commanding.allowed) {
     const why = commanding.hasLostControl ? "The token of this page is not the server's" : "This page was opened without the token";
@@ -13,16 +16,17 @@ export function control({ store, commanding, planning, nowMs, act }) {
       companion monitor --control has printed, with its part after #.</p>`;
   }
   const lost = store.freshness.lost(nowMs);
+  const off = lost || !store.vehicles.length;
   return html`<div class="heading"><h2>Control</h2></div>
-    <fieldset ?disabled=${lost}>
+    <fieldset ?disabled=${off}>
       <legend class="unseen">Commands</legend>
       ${targets(store, commanding, act)}
       ${actions({ store, commanding, nowMs, act })}
       ${leader(store, commanding, act)}
     </fieldset>
-    ${lost ? html`<p class="empty critical">No control without live data. ABORT is still sent if the server can be reached.</p>` : nothing}
+    ${off ? html`<p class="empty ${lost ? "critical" : ""}">${lost ? WITHOUT_DATA : WITHOUT_VEHICLES}</p>` : nothing}
     ${answers(commanding.sent)}
-    <fieldset ?disabled=${lost}>
+    <fieldset ?disabled=${off}>
       <legend class="unseen">Changes of the formation</legend>
       ${formationForm({ store, commanding, planning })}
       ${referenceForm({ store, commanding, planning })}
