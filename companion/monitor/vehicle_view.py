@@ -17,6 +17,7 @@ from companion.types.values import Vector3
 from companion.wire.messages import Timing
 
 MM = 3  # decimals of metres: half the bytes of a snapshot would be digits below a millimetre
+ON_GROUND = "does nothing while disarmed"  # the action: the failsafes are of a flight
 NEVER_S = 1e5  # an agent without a position reports an age beyond this
 
 
@@ -126,7 +127,7 @@ def flag_view(flag: HealthFlag, armed: bool, streaming: bool, fleet: FleetSettin
         code=flag,
         severity=severity_of(flag, armed, streaming),
         text=FLAG_TEXTS[flag],
-        action=action_words(flag, fleet),
+        action=action_words(flag, fleet) if armed else ON_GROUND,
         advice=advice_of(flag),
     )
 

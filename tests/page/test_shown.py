@@ -46,6 +46,19 @@ def test_every_vehicle_has_a_row_and_its_details(open_page: OpenPage) -> None:
         expect(page.locator("#abort")).to_have_count(0)
 
 
+def test_the_bar_says_who_else_commands(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url, 390, 844)
+        holder = page.locator("#bar .holder")
+        expect(page.locator("#figures")).to_contain_text("4 of 4")
+        expect(holder).to_have_count(0)
+        server.change = lambda vs: [replace(v, holder="anna@laptop") if v.vehicle_id < 3 else v for v in vs]
+        expect(holder).to_have_text("anna@laptop commands 1, 2")
+        server.change = lambda vs: [replace(v, holder="anna@laptop") for v in vs]
+        expect(holder).to_have_text("anna@laptop commands")
+        expect(holder).to_be_visible()
+
+
 def test_a_page_without_vehicles_says_why_and_what_starts_some(open_page: OpenPage) -> None:
     with PageServer() as server:
         server.unreachable = tuple(

@@ -150,6 +150,8 @@ def test_a_flag_has_what_the_agent_does_and_what_the_operator_should_do(load: St
     assert (fence.severity, fence.action) == ("critical", "goes into hold")
     assert "Bring it back" in fence.advice
     assert (battery.severity, battery.action) == ("warning", "warns, after 3 s lands")
+    landed = picture_of(reported(3, armed=False, flags=(HealthFlag.BATTERY_LOW,)))
+    assert [flag.action for flag in vehicle(landed, 3).flags] == ["does nothing while disarmed"]
     assert [a.code for a in seen(picture, 100.1).alarms] == ["OUTSIDE_FENCE"]
     assert [a.code for a in seen(picture, 100.6).alarms] == ["OUTSIDE_FENCE", "BATTERY_LOW"]
 

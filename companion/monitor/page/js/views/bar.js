@@ -15,6 +15,7 @@ export function bar({ store, nowMs, theme, sound, abort, act }) {
       <span class="clock" title="Time of the shown data">${clock(snapshot?.time_s)}</span>
       <span class="links">${links(snapshot)}</span>
       ${snapshot?.commands ? html`<span class="operator">operator ${snapshot.operator}</span>` : nothing}
+      ${holders(store)}
     </div>
     <div class="bar-right">
       <button class="alarm-count ${worst(open)}" @click=${() => act.tab("alarms")}
@@ -48,6 +49,20 @@ function liveness(store, nowMs) {
   return store.snapshot.replay
     ? html`<span class="live replayed">REPLAY</span>`
     : html`<span class="live now">LIVE</span>`;
+}
+
+/** Who commands, where it is not the operator of this page: the vehicles would refuse what this page sends. */
+function holders({ vehicles, snapshot }) {
+  const heard = vehicles.filter((vehicle) => !vehicle.silent);
+  const own = snapshot?.commands ? snapshot.operator : null;
+  const names = [...new Set(heard.map((vehicle) => vehicle.holder))].filter((name) => name && name !== own).sort();
+  if (!names.length) return nothing;
+  const held = names.map((name) => {
+    const ids = heard.filter((vehicle) => vehicle.holder === name).map((vehicle) => vehicle.vehicle_id);
+    return ids.length === heard.length ? `${name} commands` : `${name} commands ${ids.join(", ")}`;
+  });
+  return own === null ? html`<span class="operator">${held.join(", ")}</span>`
+    : html`<strong class="holder warning" title="Take command, among the buttons, takes it over">${held.join(", ")}</strong>`;
 }
 
 function links(snapshot) {

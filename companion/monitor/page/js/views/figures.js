@@ -5,6 +5,7 @@ import { html, nothing } from "./lit.js";
 
 const STEADY_M_S = 0.02;
 const CALM_M_S2 = 0.1;
+const GRAVITY_M_S2 = 9.81;
 const LOW_BATTERY_PERCENT = 25;
 
 /** What an operator looks at first; the figures of the law are one click deeper. */
@@ -20,7 +21,7 @@ export function figures({ store }) {
     ${figure("Trend", trend(fleet?.separation_trend_m_s), trendNote(fleet?.separation_trend_m_s))}
     ${figure("Leader", idList(fleet?.leader_ids), "", fleet && !fleet.leader_ids.length ? "warning" : "")}
     ${figure("Lowest battery", percent(battery?.percent), batteryNote(battery), battery?.percent < LOW_BATTERY_PERCENT ? "warning" : "")}
-    ${figure("Wind", wind(fleet?.wind_acceleration_enu_m_s2), "mean push")}
+    ${figure("Wind", wind(fleet?.wind_acceleration_enu_m_s2), lean(fleet?.wind_acceleration_enu_m_s2))}
     ${figure("Position error", metres(fleet?.position_error_worst_m), "largest, 1σ")}
     ${figure("Oldest data", age(fleet?.data_age_worst_s), "", fleet?.data_age_worst_s > 1 ? "warning" : "")}
     <details class="law"><summary>Law</summary><div>
@@ -47,6 +48,13 @@ function wind(accelerationEnu) {
   if (size < CALM_M_S2) return text;
   const from = Math.round(Math.atan2(-north, -east) / (Math.PI / 4));
   return `${text} ${WINDS[(from + 8) % 8]}`;
+}
+
+/** By how much a vehicle leans to stay in place in it. */
+function lean(accelerationEnu) {
+  if (!accelerationEnu) return "mean push";
+  const angleDeg = (Math.atan2(Math.hypot(accelerationEnu[0], accelerationEnu[1]), GRAVITY_M_S2) * 180) / Math.PI;
+  return `mean push, a lean of ${number(angleDeg, 0)}°`;
 }
 
 function figure(name, value, note, state = "") {
