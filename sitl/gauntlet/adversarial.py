@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import yaml
 
-from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
+from companion.types.errors import EXIT_DONE, EXIT_FAILED
 from sitl.cluster import workers_of
 from sitl.flight.scenario import Scenario
 from sitl.gauntlet.flight import FlightOutcome, Job, fly
@@ -55,8 +55,6 @@ def run_search(arguments: argparse.Namespace, families: tuple[str, ...]) -> int:
 
 
 def _new_search(arguments: argparse.Namespace, families: tuple[str, ...]) -> Search:
-    if arguments.fleet:
-        raise UnusableError("--fleet: not with --adversarial, which searches over fleets")
     return Search(seed=arguments.seed, sensors=arguments.sensors, families=families)
 
 

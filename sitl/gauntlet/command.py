@@ -42,6 +42,7 @@ class GauntletReport(Struct, frozen=True, kw_only=True):
 
 def run_gauntlet(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit code. Raises what sitl/cli/main.py reports."""
+    _check_options(arguments)
     if arguments.rare:
         return run_rare(
             arguments, parse_families(None if arguments.rare == "all" else arguments.rare, MISSIONS, "--rare")
@@ -72,6 +73,22 @@ def run_gauntlet(arguments: argparse.Namespace) -> int:
         print(f"stopped after {len(outcomes)} of {len(jobs)} flights", file=sys.stderr)
         return stop.exit_code
     return code
+
+
+# Options that would have no effect with another one.
+WITHOUT_EFFECT = {
+    "rare": ("adversarial", "resume", "families", "sensors", "fleet", "external", "binary", "page"),
+    "resume": ("families", "sensors", "out", "fleet", "external", "binary", "page"),
+    "adversarial": ("fleet", "external", "binary", "page"),
+}
+
+
+def _check_options(arguments: argparse.Namespace) -> None:
+    """Raises UnusableError."""
+    for name, others in WITHOUT_EFFECT.items():
+        for other in others:
+            if getattr(arguments, name) and getattr(arguments, other):
+                raise UnusableError(f"--{other}: has no effect with --{name}")
 
 
 def _run_real(arguments: argparse.Namespace, own: FleetConfig | None) -> int:

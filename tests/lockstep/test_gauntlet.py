@@ -191,6 +191,20 @@ def test_an_unknown_family_is_refused() -> None:
         GAUNTLET.run(arguments("--families", "forming"))
 
 
+@pytest.mark.parametrize(
+    ("given", "refused"),
+    [
+        (("--adversarial", "--fleet", "fleet.yaml"), "--fleet: has no effect with --adversarial"),
+        (("--rare", "all", "--families", "joining"), "--families: has no effect with --rare"),
+        (("--resume", "runs/x", "--sensors", "ideal"), "--sensors: has no effect with --resume"),
+        (("--rare", "platoons"), "--rare: 'platoons', expected some of platoon, exchange"),
+    ],
+)
+def test_an_option_without_effect_is_refused(given: tuple[str, ...], refused: str) -> None:
+    with pytest.raises(UnusableError, match=f"^{refused}"):
+        GAUNTLET.run(arguments(*given))
+
+
 def test_an_exception_in_an_agent_is_an_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> None:
         raise ZeroDivisionError("in a tick")
