@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 HELD_MS = 1300
 SHORTLY_MS = 150
 REFUSED = "vehicle 3 is not armed"
+# The buttons of which the middle cannot be pressed.
+COVERED = """() => [...document.querySelectorAll(".actions button")].filter((button) => {
+  const { x, y, width, height } = button.getBoundingClientRect();
+  return !button.contains(document.elementFromPoint(x + width / 2, y + height / 2));
+})"""
 
 
 def hold(page: Page, action: str, duration_ms: int = HELD_MS) -> None:
@@ -66,6 +71,15 @@ def test_each_vehicles_answer_is_shown(open_page: OpenPage) -> None:
         expect(answers.nth(1)).to_contain_text("1, 2, 4 accepted")
         for answer in answers.all():
             expect(answer).to_be_in_viewport(ratio=1.0)
+        hold(page, "land")
+        page.locator("#control").evaluate("panel => panel.scrollTo(0, 0)")
+        for width, height in ((1440, 813), (390, 844)):
+            page.set_viewport_size({"width": width, "height": height})
+            if width < 600:
+                page.locator("#tabs").get_by_role("button", name="Control").click()
+            until_shown(page, f"({COVERED})().length === 0")
+        page.locator("[data-action=close-answers]").click()
+        expect(answers).to_have_count(0)
 
 
 def test_commands_go_to_the_selected_vehicles_where_that_is_chosen(open_page: OpenPage) -> None:

@@ -61,6 +61,11 @@ export class Commanding {
     return entry;
   }
 
+  forgetAnswers() {
+    this.sent = [];
+    this._onChange();
+  }
+
   /** Shows what a formation or reference would do. Nothing is sent to a vehicle. */
   async preview(name, content) {
     const store = this._store;

@@ -7,9 +7,10 @@ import { prose } from "./prose.js";
 const MARK = { accepted: "✓", ready: "✓", "ready, with warnings": "▲", refused: "✗", "not ready": "✗", missing: "?", "not sent": "–" };
 const GOOD = new Set(["accepted", "ready", "ready, with warnings"]);
 
-export function answers(sent) {
+export function answers({ sent, close }) {
   if (!sent.length) return nothing;
   return html`<div class="answers" aria-live="polite"><h2 class="unseen">Answers</h2>
+    <button class="small" data-action="close-answers" @click=${close}>Close</button>
     ${repeat(sent, (entry) => entry.number, entry)}</div>`;
 }
 

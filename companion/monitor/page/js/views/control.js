@@ -25,7 +25,7 @@ export function control({ store, commanding, planning, nowMs, act }) {
       ${leader(store, commanding, act)}
     </fieldset>
     ${off ? html`<p class="empty ${lost ? "critical" : ""}">${lost ? WITHOUT_DATA : WITHOUT_VEHICLES}</p>` : nothing}
-    ${answers(commanding.sent)}
+    ${answers({ sent: commanding.sent, close: () => commanding.forgetAnswers() })}
     <fieldset ?disabled=${off}>
       <legend class="unseen">Changes of the formation</legend>
       ${formationForm({ store, commanding, planning })}
