@@ -96,6 +96,9 @@ def test_the_timeline_of_live_vehicles_follows_its_events(open_page: OpenPage) -
         page.locator("#events").get_by_role("button", name="Timeline").click()
         line = page.locator("#events .timeline")
         expect(line.locator(".span text")).to_have_text(["1"])  # who leads now
+        times, panel = page.locator("#events .axis p").bounding_box(), page.locator("#events").bounding_box()
+        assert times and panel
+        assert times["y"] + times["height"] <= panel["y"] + panel["height"]  # below the line, not cut off
         given = Given(ANNA, f"{ANNA}/1")
         server.event("hold", f"{ANNA}: hold to vehicles 1 to 4", kind="command", given=given)
         expect(line.locator(".sign")).to_contain_text("·")

@@ -99,6 +99,7 @@ const act = {
 
 const live = new LiveConnection(
   (snapshot, nowMs) => {
+    const isFirst = store.snapshot === null; // the panels of the page that was loaded are empty
     store.accept(snapshot, nowMs);
     planning.check();
     sound.update(snapshot.alarms, nowMs);
@@ -106,7 +107,7 @@ const live = new LiveConnection(
     store.refreshFile(nowMs, (file) => file.tiles && map.probeTiles(file));
     if (store.selected.size) store.refreshLogs(nowMs);
     scheduleMap();
-    if (nowMs - panelsMs >= PANELS_MS) schedulePanels();
+    if (isFirst || nowMs - panelsMs >= PANELS_MS) schedulePanels();
   },
   () => {
     store.refused = "";
@@ -175,6 +176,7 @@ function drawMap() {
   const context = contextAt(nowMs);
   render(bar(context), at("bar"));
   render(banner(context), at("banner"));
+  render(figures(context), at("figures")); // the separation is that on the map
   render(hint(page.hint), at("hint"));
   map.draw(theme.colours, nowMs);
   at("scene").classList.toggle("drawing", Boolean(store.drawing?.active));
@@ -192,7 +194,6 @@ function drawPanels() {
   for (const panel of PANELS) at(panel.id).hidden = !panels.includes(panel);
   at("replay").hidden = !snapshot?.replay;
   if (snapshot?.replay) render(replay(context), at("replay"));
-  render(figures(context), at("figures"));
   render(tabs({ panels, store, current: page.tab, act }), at("tabs"));
   for (const { id, view } of panels) if (view) render(view(context), at(id));
   watchRows();

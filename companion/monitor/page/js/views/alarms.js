@@ -13,7 +13,7 @@ export function alarms({ store, act }) {
   return html`<div class="heading"><h2>Alarms</h2>
       ${open.length > 1 ? html`<button class="small" @click=${() => open.forEach((alarm) => act.acknowledge(alarm.id))}>
         Acknowledge all ${open.length}</button>` : nothing}</div>
-    ${sorted.length ? nothing : html`<p class="empty">No alarms.</p>`}
+    ${sorted.length || !store.snapshot ? nothing : html`<p class="empty">No alarms.</p>`}
     <ul class="alarms">${repeat(sorted, (alarm) => alarm.id, (alarm) => row(alarm, store, act))}</ul>`;
 }
 

@@ -16,7 +16,7 @@ export function figures({ store }) {
   const near = known(fleet?.smallest_separation_m) && file && fleet.smallest_separation_m < file.separation_m;
   const battery = fleet?.battery_lowest;
   return html`
-    ${figure("Reporting", `${reporting} of ${expected}`, "", reporting < expected ? "critical" : "")}
+    ${figure("Reporting", store.snapshot ? `${reporting} of ${expected}` : NONE, "", reporting < expected ? "critical" : "")}
     ${figure("Separation", metres(fleet?.smallest_separation_m), separationNote(fleet, file), near ? "critical" : "")}
     ${figure("Trend", trend(fleet?.separation_trend_m_s), trendNote(fleet?.separation_trend_m_s))}
     ${figure("Leader", idList(fleet?.leader_ids), "", fleet && !fleet.leader_ids.length ? "warning" : "")}
@@ -27,8 +27,15 @@ export function figures({ store }) {
     <details class="law"><summary>Law</summary><div>
       ${figure("λ min", number(fleet?.lambda_min, 3), "of G")}
       ${figure("Settling", quantity(fleet?.settling_s, 1, "s"), "to a tenth")}
-      ${figure("Link margin", metres(fleet?.link_margin_m, 1), pair(fleet?.link_margin_pair))}
+      ${figure("Link margin", metres(fleet?.link_margin_m, 1), marginNote(fleet, file))}
     </div></details>`;
+}
+
+/** Which link, or why there is none with a margin. */
+function marginNote(fleet, file) {
+  if (fleet?.link_margin_pair) return pair(fleet.link_margin_pair);
+  if (!file) return "needs the fleet file";
+  return file.range_m === null ? "edges: no range" : "none in formation";
 }
 
 function batteryNote(battery) {
