@@ -34,11 +34,12 @@ ZENOH_PORT, MULTICAST_PORT = 7447, 7446
 SEGMENT_BITS = 24  # addresses with so many equal bits are taken to be in one network segment
 ID_IN_PATTERN = re.compile(r"\{id(?:\+(\d{1,5}))?\}")
 LAND_AFTER_S = 60.0
+GPS_SEPARATION_M, GPS_SEPARATION_OF_SPACING = 2.5, 0.5  # ordinary GPS is off by a metre, of two vehicles each
 NEXT = """\
 wrote {files} in {folder}
 {states}
 next:
-  1. In fleet.yaml check origin, fence and slots; in each vehicle file mavlink and hover_thrust_norm.
+  1. In fleet.yaml check origin, fence, slots and separation_m; in each vehicle file mavlink and hover_thrust_norm.
   2. companion analyze {folder}/fleet.yaml
 {then}"""
 SECURED = """\
@@ -95,6 +96,7 @@ def new_fleet(new: NewFleet, folder: Path, problems_of: ProblemsOf) -> str:
     mavlink = _per_vehicle(new.mavlink, new.formation.vehicles, "--mavlink")
     way = states_way(addresses.values())
     planned = _in_network(planned_formation(new.formation, problems_of, new.origin), addresses, new.security, way)
+    planned = replace(planned, fleet=replace(planned.fleet, separation_m=_separation_m(new, planned)))
     secured = new.needs_identities(addresses)
     vehicles = {folder / f"vehicle-{i}.yaml": vehicle_text(new, planned, i, mavlink[i - 1], secured) for i in addresses}
     texts = {folder / "fleet.yaml": fleet_text(new, planned, way)} | vehicles
@@ -129,6 +131,13 @@ def _in_network(
     members = tuple(replace(member, address=addresses[member.id]) for member in planned.fleet.vehicles)
     fleet = replace(planned.fleet, vehicles=members, security=security, multicast=way.multicast)
     return replace(planned, fleet=fleet)
+
+
+def _separation_m(new: NewFleet, planned: PlannedFormation) -> float:
+    """Of the plan, which is that of a simulation; outdoors more, for the errors of GPS."""
+    if new.origin == "indoor":
+        return planned.fleet.separation_m
+    return round(min(GPS_SEPARATION_M, GPS_SEPARATION_OF_SPACING * new.formation.spacing_m), 2)
 
 
 def fleet_text(new: NewFleet, planned: PlannedFormation, way: StatesWay) -> str:

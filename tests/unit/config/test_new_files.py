@@ -109,6 +109,14 @@ def test_the_files_of_a_fleet_agree(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "companion provision new" in output
 
 
+@pytest.mark.parametrize(("spacing_m", "separation_m"), [(3, 1.5), (5, 2.5), (12, 2.5)])
+def test_outdoors_vehicles_keep_off_by_the_error_of_gps(spacing_m: int, separation_m: float, tmp_path: Path) -> None:
+    agents = fleet_of(tmp_path / "field", "--vehicles", "4", "--spacing", str(spacing_m))
+    assert {agent.fleet.separation_m for agent in agents} == {separation_m}
+    assert main(["init", str(tmp_path / "hall"), "--origin", "indoor", "--vehicles", "4", "--spacing", "5"]) == 0
+    assert load_agent(tmp_path / "hall" / "vehicle-1.yaml").fleet.separation_m == 1.0
+
+
 def test_without_security_the_files_are_copied_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     agents = fleet_of(tmp_path / "field", "--vehicles", "4", "--security", "none")
     assert {agent.vehicle.identity for agent in agents} == {None}
