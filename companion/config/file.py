@@ -275,6 +275,11 @@ FILE_KINDS: dict[FileKind, tuple[str, frozenset[str]]] = {  # name in messages, 
 }
 
 
+HINTS: dict[tuple[FileKind, ...], str] = {  # by the kind of the file, then all that are expected
+    ("fleet", "scenario"): ": this file under `fleet`, a reference and a timeline (docs/simulation-to-vehicles.md)",
+}
+
+
 def kind_of_file(data: Any) -> FileKind | None:
     """The kind by the keys; None if they do not show one kind."""
     kinds = [kind for kind, (_, keys) in FILE_KINDS.items() if isinstance(data, dict) and keys & data.keys()]
@@ -287,7 +292,9 @@ def read_as(path: Path, *expected: FileKind) -> Any:
     kind = kind_of_file(data)
     if kind is not None and kind not in expected:
         wanted = " or ".join(FILE_KINDS[kind][0] for kind in expected)
-        raise ConfigError(path, "", f"this is {FILE_KINDS[kind][0]}; {wanted} is expected")
+        raise ConfigError(
+            path, "", f"this is {FILE_KINDS[kind][0]}; {wanted} is expected{HINTS.get((kind, *expected), '')}"
+        )
     return data
 
 

@@ -217,7 +217,9 @@ def test_starts_that_are_too_close_are_refused() -> None:
 
 def test_a_fleet_file_is_refused_as_a_scenario() -> None:
     fleet = SCENARIOS.parent / "fleets" / "pair.yaml"
-    with pytest.raises(ConfigError, match=r"pair\.yaml: this is a fleet file; a scenario is expected"):
+    with pytest.raises(
+        ConfigError, match=r"pair\.yaml: this is a fleet file; a scenario is expected: this file under `fleet`"
+    ):
         load_scenario(fleet)
 
 
