@@ -84,6 +84,23 @@ def test_a_changed_vehicle_changes_its_row(open_page: OpenPage) -> None:
         expect(row).to_contain_text("BATTERY_LOW: battery below 25 %. Agent: hold. change the battery of vehicle 3")
 
 
+def test_a_vehicle_in_the_air_without_its_agent_is_not_drawn_on_the_ground(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        taken = {"phase": "observe", "refuses_return": "NO_HOME: it has no home"}
+        server.change = lambda vs: [replace(v, **taken) if v.vehicle_id == 3 else v for v in vs]
+        page = open_page(server.control_url)
+        symbol = page.locator("tbody.vehicle[data-id='3'] .symbol")
+        expect(symbol).to_have_class(re.compile("hollow"))
+        circle = page.locator("tbody.vehicle[data-id='2'] .symbol path").get_attribute("d")
+        assert circle
+        expect(symbol.locator("path")).to_have_attribute("d", circle)
+        back = page.locator("button[data-action='return']")
+        expect(back).to_have_attribute("title", re.compile("Not possible: 3 is in observe"))
+        server.change = lambda vs: [replace(v, refuses_return="NO_HOME: it has no home") for v in vs]
+        expect(back).to_have_class("refused")
+        expect(back).to_have_attribute("title", re.compile("1: NO_HOME: it has no home"))
+
+
 def test_a_silent_vehicle_is_marked_with_its_age(open_page: OpenPage) -> None:
     with PageServer() as server:
         page = open_page(server.url)

@@ -13,9 +13,10 @@ const TAKEOFF = { name: "takeoff", shape: TRIANGLE_UP, filled: true, text: "take
 const HOLD = { name: "hold", shape: HEXAGON, filled: false, text: "hold, release" };
 const FORMATION = { name: "formation", shape: CIRCLE, filled: true, text: "engage, formation" };
 const LAND = { name: "land", shape: TRIANGLE_DOWN, filled: true, text: "land" };
+const OTHER = { name: "other", shape: CIRCLE, filled: false, text: "in the air, not by its agent: observe" };
 const RETURN = { name: "return", shape: DIAMOND, filled: true, text: "return" };
 
-export const GROUPS = [GROUND, ARMED, TAKEOFF, HOLD, FORMATION, LAND, RETURN];
+export const GROUPS = [GROUND, ARMED, TAKEOFF, HOLD, FORMATION, LAND, RETURN, OTHER];
 
 const GROUP_OF = new Map([
   ["observe", GROUND],
@@ -33,8 +34,18 @@ const GROUP_OF = new Map([
 ]);
 
 /** An unknown phase is drawn as one on the ground: hollow and grey. */
-export function groupOf(phase) {
-  return GROUP_OF.get(phase) ?? GROUND;
+export function groupOf(vehicle) {
+  return isFlownByOther(vehicle) ? OTHER : (GROUP_OF.get(vehicle.phase) ?? GROUND);
 }
 
-export const FLYING = new Set(["takeoff", "hold", "release", "engage", "formation", "land", "return"]);
+const FLYING = new Set(["takeoff", "hold", "release", "engage", "formation", "land", "return"]);
+
+/** Whether it is in the air: by its agent, its pilot or its autopilot. */
+export function isFlying(vehicle) {
+  return FLYING.has(vehicle.phase) || isFlownByOther(vehicle);
+}
+
+/** After a take-over by its pilot, or a start of its agent in the air. */
+function isFlownByOther({ phase, armed, landed }) {
+  return phase === "observe" && armed && landed !== "on_ground" && landed !== "undefined";
+}

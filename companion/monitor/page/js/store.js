@@ -4,7 +4,7 @@ import { get } from "./api.js";
 import { Freshness } from "./freshness.js";
 import { History } from "./history.js";
 import { missionOf } from "./mission.js";
-import { FLYING } from "./phases.js";
+import { isFlying } from "./phases.js";
 import { Trails } from "./trails.js";
 
 const KEPT_EVENTS = 2000; // as many as the server keeps
@@ -126,9 +126,10 @@ export class Store {
   }
 
   _acceptArmed() {
-    for (const { vehicle_id: id, phase, silent } of this.vehicles) {
+    for (const vehicle of this.vehicles) {
+      const { vehicle_id: id, phase, silent } = vehicle;
       if (silent) continue;
-      if (!FLYING.has(phase)) this.formed.delete(id);
+      if (!isFlying(vehicle)) this.formed.delete(id);
       else if (phase !== "takeoff" && phase !== "hold") this.formed.add(id);
       if (phase !== "observe") this.disarmed.delete(id);
       if (phase === "armed") this.armed.set(id, this.armed.get(id) ?? this.snapshot.time_s);

@@ -1,7 +1,7 @@
 /** The texts beside the vehicles. None overlaps another one or a symbol: it is moved, or left out. */
 
 import { age, metres } from "../format.js";
-import { FLYING } from "../phases.js";
+import { isFlying } from "../phases.js";
 
 const LABELLED = 16; // of a larger fleet only selected and alarming vehicles have a text
 const NEAR_RATIO = 1.15; // of separation_m: a smaller distance alarms
@@ -63,7 +63,7 @@ function vehicleText(pen, vehicle, { chosen, leaders, few, sinceS }) {
   const { vehicle_id: id, silent, phase, position_enu_m: place } = vehicle;
   const alarms = silent || vehicle.flags.length > 0;
   if (!few && !alarms && !chosen.has(id)) return null;
-  const height = FLYING.has(phase) ? ` ${metres(place[2], 1)}` : "";
+  const height = isFlying(vehicle) ? ` ${metres(place[2], 1)}` : "";
   const text = silent ? `SILENT ${age(vehicle.age_s + sinceS)}` : `${phase}${height}`;
   const style = silent ? { colour: "critical", size: 12, weight: 700 } : { size: 11 };
   const rank = chosen.has(id) ? 0 : silent ? 1 : alarms ? 2 : leaders.has(id) ? 4 : 5;

@@ -1,6 +1,6 @@
 /** The vehicles on the map: symbol by phase in the vehicle's colour, heading by velocity, leader, selection, safety distance, silence. */
 
-import { FLYING, groupOf } from "../phases.js";
+import { isFlying, groupOf } from "../phases.js";
 import { colourOf } from "../vehicle_look.js";
 import { isNear, nearestPair } from "./labels.js";
 
@@ -22,7 +22,7 @@ export function drawVehicle(pen, vehicle, { selected, leader }) {
 
 /** Circles of half the distance: two that touch are at separation_m. */
 export function drawSafetyDistance(pen, vehicle, separationM) {
-  if (!FLYING.has(vehicle.phase) && !vehicle.silent) return;
+  if (!isFlying(vehicle) && !vehicle.silent) return;
   pen.circle(vehicle.position_enu_m, separationM / 2, { colour: "quiet", dash: [2, 3], alpha: 0.9 });
 }
 
@@ -47,7 +47,7 @@ export function drawTrail(pen, id, trail, nowS, bands) {
 }
 
 function drawSymbol(pen, vehicle, x, y) {
-  const group = groupOf(vehicle.phase);
+  const group = groupOf(vehicle);
   const { context, colours } = pen;
   const colour = colours[vehicle.silent ? "critical" : colourOf(vehicle.vehicle_id)];
   const filled = group.filled && !vehicle.silent;
@@ -76,7 +76,7 @@ function shapeOf(group) {
 function drawHeading(pen, vehicle, x, y) {
   const velocity = vehicle.velocity_enu_m_s;
   const speed = Math.hypot(velocity[0], velocity[1]);
-  if (!FLYING.has(vehicle.phase) || speed < MOVES_M_S) return;
+  if (!isFlying(vehicle) || speed < MOVES_M_S) return;
   const ahead = vehicle.position_enu_m.map((value, i) => value + velocity[i] * PREDICTED_S);
   const [ax, ay] = pen.camera.project(ahead);
   const length = Math.max(1, Math.hypot(ax - x, ay - y));

@@ -1,6 +1,6 @@
 /** The buttons of the phase commands: which one comes next, and which the vehicles would refuse. They decide, not the page. */
 
-import { FLYING } from "../phases.js";
+import { isFlying } from "../phases.js";
 import { html, nothing } from "./lit.js";
 
 // Those with a hold time change what the vehicles do in a way that an accidental touch must not.
@@ -35,7 +35,7 @@ export function actions({ store, commanding, nowMs, act }) {
  * something went wrong: one is missing or in trouble in the air, some have landed, or they have left the formation.
  */
 function nextOf(vehicles, formed) {
-  const flying = vehicles.filter(({ phase, silent, armed }) => FLYING.has(phase) || (silent && armed));
+  const flying = vehicles.filter((vehicle) => isFlying(vehicle) || (vehicle.silent && vehicle.armed));
   if (flying.some(({ silent, flags }) => silent || flags.some(({ severity }) => severity === "critical"))) return null;
   const next = ON_THE_WAY.find((name) => vehicles.some((vehicle) => !vehicle.silent && accepts(name, vehicle)));
   if (next === "arm" && flying.length) return null;
@@ -48,11 +48,16 @@ function accepts(name, { phase, landed }) {
   return !rule || (rule.phases.includes(phase) && (!known || (landed === "on_ground") === rule.on_ground));
 }
 
+/** Why the vehicle would refuse this command, as far as its report says; "" where it would not. */
+function refusal(name, vehicle) {
+  if (!accepts(name, vehicle)) return `${vehicle.vehicle_id} is in ${vehicle.phase}`;
+  return name === "return" && vehicle.refuses_return ? `${vehicle.vehicle_id}: ${vehicle.refuses_return}` : "";
+}
+
 function button(action, { vehicles, next, commanding, act }) {
-  const others = vehicles.filter((vehicle) => !accepts(action.name, vehicle));
-  const refused = vehicles.length > 0 && others.length === vehicles.length;
-  const phases = others.map((vehicle) => `${vehicle.vehicle_id} is in ${vehicle.phase}`).join(", ");
-  const title = `${action.text}${action.hold ? "; hold for a second" : ""}${phases ? `. Not possible: ${phases}` : ""}`;
+  const reasons = vehicles.map((vehicle) => refusal(action.name, vehicle)).filter(Boolean);
+  const refused = vehicles.length > 0 && reasons.length === vehicles.length;
+  const title = `${action.text}${action.hold ? "; hold for a second" : ""}${reasons.length ? `. Not possible: ${reasons.join(", ")}` : ""}`;
   const state = action.name === next ? "next" : refused ? "refused" : "";
   const send = () => commanding.send(action.name, commanding.targets);
   const early = () => act.hint(`Hold "${action.title}" for a second.`);

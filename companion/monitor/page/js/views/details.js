@@ -11,7 +11,7 @@ export function details({ store, nowMs }) {
   const vehicle = store.vehicles.find((candidate) => candidate.vehicle_id === id);
   if (!vehicle) return html`<p class="empty">Select a vehicle in the list or on the map: all its values appear here.</p>`;
   const ageS = vehicle.age_s + (store.freshness.ageS(nowMs) ?? 0);
-  return html`<div class="heading"><h2>${symbol(vehicle.phase, { id, silent: vehicle.silent })} Vehicle ${id}, ${vehicle.role}</h2>
+  return html`<div class="heading"><h2>${symbol(vehicle)} Vehicle ${id}, ${vehicle.role}</h2>
       ${vehicle.silent ? html`<strong class="critical">SILENT for ${age(ageS)}: old values</strong>` : nothing}</div>
     ${problems(vehicle)}
     <dl class=${vehicle.silent ? "old" : ""}>${fields(vehicle, ageS).map(([name, value]) => field(name, value))}</dl>

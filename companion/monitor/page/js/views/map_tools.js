@@ -4,7 +4,7 @@ import { GROUPS } from "../phases.js";
 import { html, nothing } from "./lit.js";
 import { symbol } from "./symbol.js";
 
-const SAMPLE_PHASE = { ground: "ready", armed: "armed", takeoff: "takeoff", hold: "hold", formation: "formation", land: "land", return: "return" };
+const PHASES = { ground: "ready", armed: "armed", takeoff: "takeoff", hold: "hold", formation: "formation", land: "land", return: "return", other: "observe" };
 
 export function mapTools({ map, planning, store, commanding }) {
   return html`
@@ -35,14 +35,15 @@ function noteOf(drawing) {
 
 export function legend() {
   return html`<details><summary>Symbols</summary><ul>
-    ${GROUPS.map((group) => html`<li>${symbol(SAMPLE_PHASE[group.name])} ${group.text}</li>`)}
-    <li>${symbol("ready", { silent: true })} silent, where it last was</li>
+    ${GROUPS.map((group) => html`<li>${symbol({ phase: PHASES[group.name], armed: true, landed: "in_air" })} ${group.text}</li>`)}
+    <li>${symbol({ phase: "ready", silent: true })} silent, where it last was</li>
     <li><span class="key">★</span> leader, with a ring</li>
     <li><span class="key">◇</span> slot</li>
     <li><span class="key">→</span> where it will be in 1 s</li>
     <li><span class="key">━</span> weight of a neighbour</li>
     <li><span class="key">┅</span> neighbour with old data</li>
     <li><span class="key">○R</span> the reference now, on its line</li>
+    <li><span class="key">1 m</span> smallest separation: a height counts half</li>
     <li><span class="key">◌</span> circles touch at separation_m</li>
   </ul></details>`;
 }

@@ -54,7 +54,7 @@ function rows(vehicle, store, sinceS, act) {
       @click=${(event) => act.select(id, event.shiftKey || event.ctrlKey || event.metaKey)}>
     <tr>
       <th scope="row"><button class="pick" aria-pressed=${selected}
-        aria-label="Vehicle ${id}${leader ? ", leader" : ""}">${symbol(vehicle.phase, { id, silent: vehicle.silent })}<span>${id}</span>${
+        aria-label="Vehicle ${id}${leader ? ", leader" : ""}">${symbol(vehicle)}<span>${id}</span>${
         leader ? html`<span class="leader" title="leader">★</span>` : nothing}</button></th>
       <td>${vehicle.silent ? html`<strong class="critical">SILENT</strong>` : vehicle.phase}</td>
       <td class="mode">${vehicle.mode}${vehicle.armed ? nothing : html`<span class="quiet"> disarmed</span>`}</td>
