@@ -98,11 +98,18 @@ def middle(page: Page) -> tuple[float, float]:
     return box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0
 
 
+def width_m(page: Page) -> float:
+    """Of 200 pixels of the map."""
+    x, y = middle(page)
+    return place_at(page, x + 200.0, y)[0] - place_at(page, x, y)[0]
+
+
 def away(vehicles: list[VehicleView]) -> list[VehicleView]:
     """The whole fleet 60 m farther east: a map that follows shows it there."""
-    places = [(v.position_enu_m, v.slot_position_enu_m) for v in vehicles]
-    moved = [[(x + 60.0, y, z) for x, y, z in both if both] for both in places]  # type: ignore[misc]
-    return [replace(v, position_enu_m=a, slot_position_enu_m=b) for v, (a, b) in zip(vehicles, moved, strict=True)]
+    names = ("position_enu_m", "slot_position_enu_m", "reference_enu_m")
+    places = [{name: at for name in names if (at := getattr(v, name))} for v in vehicles]
+    moved = [{name: (x + 60.0, y, z) for name, (x, y, z) in of.items()} for of in places]
+    return [replace(v, **of) for v, of in zip(vehicles, moved, strict=True)]
 
 
 def test_a_slot_is_dragged_and_the_vehicles_are_asked_again(open_page: OpenPage) -> None:
@@ -113,11 +120,11 @@ def test_a_slot_is_dragged_and_the_vehicles_are_asked_again(open_page: OpenPage)
         page.get_by_label("Slots").select_option("diamond")
         page.get_by_label("Spacing").fill("3")
         page.locator("[data-action=preview-formation]").click()
+        send, previewed = page.locator("[data-action=send-formation]"), page.locator(".previewed")
+        expect(send).to_have_count(1)
         page.keyboard.press("Control+z")  # nothing was dragged: neither does it take back what was typed
         expect(page.locator("#hint")).to_contain_text("nothing to take back")
         expect(page.get_by_label("Spacing")).to_have_value("3")
-        send, previewed = page.locator("[data-action=send-formation]"), page.locator(".previewed")
-        expect(send).to_have_count(1)
         x_m, y_m, _ = shape_slots(SHAPES["diamond"], 4, 3.0, 0.0)[1]
         start, end = window_at(page, x_m, y_m), window_at(page, x_m + 2.0, y_m + 1.0)
         drag(page, start, (end[0] - start[0], end[1] - start[1]))
@@ -134,8 +141,19 @@ def test_a_slot_is_dragged_and_the_vehicles_are_asked_again(open_page: OpenPage)
         page.keyboard.press("Control+z")
         expect(page.get_by_label("Slots")).to_have_value("diamond")
         expect(send).to_have_count(1)
-        until_shown(page, lambda: place_at(page, *middle(page))[0] > 30.0)
+        until_shown(page, lambda: place_at(page, *middle(page))[0] > 50.0)
         expect(page.locator("#map-note button")).to_have_count(0)
+        server.change = still  # the slots of a preview go with the fleet, and the map follows
+        until_shown(page, lambda: abs(place_at(page, *middle(page))[0]) < 10.0)
+        page.locator(".previewed").get_by_role("button", name="Discard").click()
+        near = width_m(page)
+        page.get_by_label("Spacing").fill("39")
+        page.locator("[data-action=preview-formation]").click()
+        until_shown(page, lambda: width_m(page) > 3.0 * near)
+        page.locator(".previewed").get_by_role("button", name="Discard").click()
+        until_shown(page, lambda: width_m(page) == pytest.approx(near, rel=0.3))
+        page.get_by_label("Spacing").fill("3")
+        page.locator("[data-action=preview-formation]").click()
         send.click()
         until_shown(page, lambda: bool(server.commands))
         assert server.commands[0].content == {"shape": "diamond", "spacing_m": 3, "heading_deg": 0}

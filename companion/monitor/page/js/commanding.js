@@ -75,10 +75,10 @@ export class Commanding {
     store.preview = before;
     this.previewing = true;
     this._onChange();
-    const basis = store.flown;
+    const [basis, referenceEnuM] = [store.flown, store.referenceEnuM];
     let shown = null;
     try {
-      shown = { ...(await preview({ fleet: store.fleetName, name, vehicle_ids: [], content })), name, content, basis };
+      shown = { ...(await preview({ fleet: store.fleetName, name, vehicle_ids: [], content })), name, content, basis, referenceEnuM };
     } catch (error) {
       if (number === this._previews) this.previewError = error.message;
     }

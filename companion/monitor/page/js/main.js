@@ -44,7 +44,7 @@ let arrivedMs = null; // of the oldest snapshot that is not painted yet
 const theme = new Theme(schedule);
 const commanding = new Commanding(store, schedule, showPreviewed);
 const planning = new Planning(store, commanding, { changed: schedule, hint: (text) => act.hint(text), preview: previewForm });
-const map = new FleetMap(at("scene"), at("map-cursor"), store, planning, {
+const map = new FleetMap({ canvas: at("scene"), cursor: at("map-cursor"), note: at("map-note") }, store, planning, {
   changed: schedule,
   selected: (id, several) => act.select(id, several),
 });

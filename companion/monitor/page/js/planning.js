@@ -27,7 +27,7 @@ export class Planning {
   }
 
   get altitudeM() {
-    const present = this._leader()?.reference_enu_m[2] ?? DEFAULT_ALTITUDE_M;
+    const present = this._store.referenceEnuM?.[2] ?? DEFAULT_ALTITUDE_M;
     return this._store.drawing?.altitudeM ?? this._altitudeM ?? Math.round(present * 10) / 10;
   }
 
@@ -53,7 +53,7 @@ export class Planning {
   go() {
     const began = this._store.drawing?.goes;
     this.cancel();
-    const altitudeM = this._leader()?.reference_enu_m[2];
+    const altitudeM = this._store.referenceEnuM?.[2];
     if (!began && this.canGo) this._store.drawing = { points: [], altitudeM, most: 1, active: true, goes: true };
     this._on.changed();
   }
@@ -63,7 +63,7 @@ export class Planning {
     const { most, points, goes, altitudeM } = this._store.drawing;
     this._keep();
     if (goes) {
-      const here = this._leader()?.reference_enu_m ?? point;
+      const here = this._store.referenceEnuM ?? point;
       this._store.drawing = { points: [rounded(here), rounded(point)], altitudeM, most: WAYPOINTS.most, active: false, goes: false };
       kindOf(WAYPOINTS);
       this._takesAccepted = true;
@@ -88,20 +88,29 @@ export class Planning {
     return takes;
   }
 
+  /** Those of a preview, with `path` in it. The slots go with the reference, as the fleet does. */
+  paths() {
+    const { preview } = this._store;
+    const by = this._shift();
+    return (preview?.paths ?? []).map((path) => ({
+      vehicle_id: path.vehicle_id, from_enu_m: plus(path.from_enu_m, by), to_enu_m: plus(path.to_enu_m, by), path,
+    }));
+  }
+
   /** What can be dragged on the map: `at`, ENU in metres. */
   handles() {
     const { preview, drawing } = this._store;
     if (this._commanding.previewing) return []; // its answer would take their place
     const points = (drawing?.points ?? []).map((at, index) => ({ at, index }));
-    const paths = preview?.name === "formation" ? preview.paths : [];
-    return [...points, ...paths.map((path) => ({ at: path.to_enu_m, path }))];
+    const paths = preview?.name === "formation" ? this.paths() : [];
+    return [...points, ...paths.map(({ to_enu_m: at, path }) => ({ at, path, from: path.to_enu_m }))];
   }
 
   drag(handle, point) {
     if (!this._isThere(handle)) return;
     if (!handle.moved) this._keep();
     handle.moved = true;
-    if (handle.path) handle.path.to_enu_m = point;
+    if (handle.path) handle.path.to_enu_m = minus(point, this._shift());
     else this._setPoint(handle.index, rounded(point));
     if (this._store.preview) this._store.preview.pending = true;
     this._on.changed();
@@ -158,6 +167,12 @@ export class Planning {
     return this._store.vehicles.find((vehicle) => vehicle.reference_enu_m && !vehicle.silent);
   }
 
+  /** How far the reference has gone since the preview. */
+  _shift() {
+    const [then, now] = [this._store.preview?.referenceEnuM, this._store.referenceEnuM];
+    return then && now ? minus(now, then) : [0, 0, 0];
+  }
+
   /** What is dragged may be gone by now, as the preview that it is of. */
   _isThere({ path, index }) {
     return path ? Boolean(this._store.preview?.paths.includes(path)) : index < (this._store.drawing?.points.length ?? 0);
@@ -175,11 +190,19 @@ export class Planning {
 }
 
 /** The slots of a previewed formation, with that of the dragged vehicle moved: in the formation's own frame. */
-function movedSlots({ slots_enu_m: slots, heading_rad: heading }, { path, at }) {
-  const [dx, dy] = [0, 1].map((axis) => path.to_enu_m[axis] - at[axis]);
+function movedSlots({ slots_enu_m: slots, heading_rad: heading }, { path, from }) {
+  const [dx, dy] = minus(path.to_enu_m, from);
   const [c, s] = [Math.cos(heading), Math.sin(heading)];
   const [x, y, z] = slots[path.vehicle_id];
   return { ...slots, [path.vehicle_id]: rounded([x + c * dx + s * dy, y - s * dx + c * dy, z]) };
+}
+
+function plus(a, b) {
+  return a.map((value, axis) => value + b[axis]);
+}
+
+function minus(a, b) {
+  return a.map((value, axis) => value - b[axis]);
 }
 
 function rounded(point) {

@@ -58,6 +58,11 @@ export class Store {
     return this.snapshot?.vehicles.filter((vehicle) => vehicle.fleet === this.fleetName) ?? [];
   }
 
+  /** Where the reference is now, as a leader reports it; null without one. */
+  get referenceEnuM() {
+    return this.vehicles.find((vehicle) => vehicle.reference_enu_m && !vehicle.silent)?.reference_enu_m ?? null;
+  }
+
   /** Formation and reference of each vehicle: a preview is of a change of these. */
   get flown() {
     return this.vehicles.map((vehicle) => `${vehicle.vehicle_id} ${vehicle.formation} ${vehicle.reference.replace(/, target.*/, "")}`).join();

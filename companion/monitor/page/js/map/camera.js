@@ -66,6 +66,13 @@ export class Camera {
     this.azimuth = 0;
   }
 
+  /** The scale with which `fit` shows these points. */
+  fittingScale(points, marginPx) {
+    const probe = Object.assign(new Camera(), this);
+    probe.fit(points, marginPx);
+    return probe.scale;
+  }
+
   /** All points in view, with a margin in pixels. */
   fit(points, marginPx) {
     if (!points.length) return;

@@ -14,13 +14,18 @@ import { drawSafetyDistance, drawSmallestSeparation, drawTrail, drawVehicle, tra
 const TOUCH_PX = 26; // how near to a vehicle a click selects it
 const HANDLE_PX = 14; // likewise, of what the mouse drags
 const MARGIN_PX = 104;
-const LEAST_MARGIN_PX = 62; // the buttons are that wide
+const LEAST_MARGIN_PX = 76; // the buttons with half a vehicle are that wide
+const MOST_EMPTY = 2; // it is shown larger where it would be by this factor
+const NOTE_TOP_PX = 8; // as in the style sheet
+const NOTE_BOTTOM_PX = 24;
+const NOTE_APART_PX = 14;
 
 export class FleetMap {
   /** `on.changed()` asks for a frame; `on.selected(id, several)`. */
-  constructor(canvas, cursor, store, planning, on) {
+  constructor({ canvas, cursor, note }, store, planning, on) {
     this._canvas = canvas;
     this._cursor = cursor;
+    this._note = note;
     this._store = store;
     this._planning = planning;
     this._on = on;
@@ -83,7 +88,7 @@ export class FleetMap {
     const { camera, _store: store } = this;
     const shown = this._shown();
     const placed = this._placed();
-    if (this._refits && placed.length && !camera.shows(placed, Math.min(LEAST_MARGIN_PX, camera.width / 8, camera.height / 8))) this._fitTo(placed, MARGIN_PX);
+    if (this._refits && placed.length && !this._suits(placed)) this._fitTo(placed, MARGIN_PX);
     const pen = new Pen(this._context, camera, colours);
     const ratio = devicePixelRatio;
     this._context.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -97,10 +102,24 @@ export class FleetMap {
     drawReference(pen, store.file?.reference_enu_m ?? [], leaders);
     this._drawFleet(pen, shown, nowMs);
     const points = store.drawing?.points ?? [];
-    if (store.preview) drawPreview(pen, store.preview, points);
+    if (store.preview) drawPreview(pen, store.preview, this._planning.paths(), points);
     drawPoints(pen, points);
     drawScaleBar(pen);
     drawNorth(pen);
+    this._placeNote(placed.map((point) => camera.project(point)));
+  }
+
+  /** The note of what is placed leaves the upper edge, or the lower one, where it covers something; not below the pointer. */
+  _placeNote(pointsPx) {
+    const note = this._note;
+    if (!note.childElementCount || note.matches(":hover, :focus-within")) return;
+    const { offsetWidth, offsetHeight } = note;
+    const left = note.getBoundingClientRect().left - this._canvas.getBoundingClientRect().left;
+    const covers = (top) => pointsPx.some(([x, y]) =>
+      x > left - NOTE_APART_PX && x < left + offsetWidth + NOTE_APART_PX && y > top - NOTE_APART_PX && y < top + offsetHeight + NOTE_APART_PX);
+    const places = [NOTE_TOP_PX, this.camera.height - NOTE_BOTTOM_PX - offsetHeight];
+    const isLow = note.classList.contains("low");
+    if (covers(places[Number(isLow)]) && !covers(places[Number(!isLow)])) note.classList.toggle("low");
   }
 
   _drawPlace(pen, shown) {
@@ -141,14 +160,26 @@ export class FleetMap {
     const vehicles = [...this._shown().values()];
     const points = vehicles.map((vehicle) => vehicle.position_enu_m);
     const slots = vehicles.map((vehicle) => vehicle.slot_position_enu_m).filter(Boolean);
-    const planned = this._store.preview ? this._store.preview.paths.map((path) => path.to_enu_m) : [];
+    const planned = this._planning.paths().map((path) => path.to_enu_m);
     const ground = this.camera.is3d ? points.map(([x, y]) => [x, y, 0]) : [];
     const placing = this._store.drawing?.points ?? [];
     return [...points, ...slots, ...planned, ...placing, ...(this._store.preview?.track_enu_m ?? []), ...ground];
   }
 
   _fitTo(points, marginPx) {
-    this.camera.fit(points, Math.min(marginPx, this.camera.width / 5, this.camera.height / 5));
+    this.camera.fit(points, this._margin(marginPx, 5));
+  }
+
+  /** Not more than this part of the map. */
+  _margin(marginPx, part) {
+    return Math.min(marginPx, this.camera.width / part, this.camera.height / part);
+  }
+
+  /** Whether the points are in view, and not far too small, as after the preview of a wide formation. */
+  _suits(points) {
+    const { camera } = this;
+    if (!camera.shows(points, this._margin(LEAST_MARGIN_PX, 6))) return false;
+    return camera.fittingScale(points, this._margin(MARGIN_PX, 5)) < camera.scale * MOST_EMPTY;
   }
 
   /** In the frame that draws: a canvas that gets a size is empty. */

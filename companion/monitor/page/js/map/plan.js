@@ -10,10 +10,10 @@ export function drawReference(pen, track, leaders) {
   }
 }
 
-/** Paler while it is dragged, and until the vehicles have answered. `points`: those of the form, which have numbers. */
-export function drawPreview(pen, preview, points) {
+/** `paths`: of its slots, as they are now. Paler while it is dragged, and until the vehicles have answered. `points`: those of the form, which have numbers. */
+export function drawPreview(pen, preview, paths, points) {
   const alpha = preview.pending ? 0.5 : 1;
-  for (const path of preview.paths) {
+  for (const path of paths) {
     pen.line([path.from_enu_m, path.to_enu_m], { colour: "accent", width: 2, dash: [8, 5], alpha });
     const [x, y] = pen.camera.project(path.to_enu_m);
     pen.pixels([[-11, -11], [11, -11], [11, 11], [-11, 11], [-11, -11]].map(([dx, dy]) => [x + dx, y + dy]), {
