@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import dist
+from math import dist, isclose
 from typing import SupportsFloat
 
 from companion.laws import Law, Neighbour, Own
@@ -14,6 +14,7 @@ MOST_M_S2 = 1e5  # on an axis, in any state; a gain of 10 gives a tenth of it 1 
 MOST_BESIDE_M_S2 = 500.0  # on an axis, within 1 m and 1 m/s of the neighbours
 MOST_GAIN = 100.0  # 1/s^2, 1/s
 SAME_M_S2 = 1e-6
+PRCS = (1, 2, 3)
 ELSEWHERE_ENU_M: Vector3 = (1000.0, -2000.0, 100.0)
 
 
@@ -32,6 +33,13 @@ def trial_problem(law: Law) -> str:
                 f"{method.__name__} gives {vectors!r:.60}; expected a tuple of (x, y, z), as many as declared: {count}"
             )
             return f"{_line_of(method)}{text}"
+    for leads in (False, True):
+        weights = law.weights(leads, PRCS)
+        if len(weights) and not (len(weights) == len(PRCS) and isclose(sum(weights), 1.0, abs_tol=1e-6)):
+            text = (
+                f"weights gives {weights!r:.60} for PrCs {list(PRCS)}; expected one for each with a sum of 1, or none"
+            )
+            return f"{_line_of(law.weights)}{text}"
     if not all(-MOST_BESIDE_M_S2 <= axis <= MOST_BESIDE_M_S2 for axis in here):
         return f"within 1 m of its neighbour it gives {here} m/s^2; expected numbers up to {MOST_BESIDE_M_S2:g}"
     gains = feedback_gains(law)

@@ -69,6 +69,14 @@ def test_the_shipped_laws_pass(name: str, capsys: pytest.CaptureFixture[str]) ->
     assert code == 0, capsys.readouterr().out
 
 
+def test_weights_of_another_number_or_sum(tmp_path: Path) -> None:
+    for given in ("(1.0,)", "tuple([1.0] * len(prcs))"):
+        weights = f"\n    def weights(self, leads, prcs):\n        return {given}\n"
+        (line,) = failed(write_law(tmp_path, "bad", law(FLOWN) + weights)).values()
+        assert "line 10: weights gives (1.0," in line
+        assert "expected one for each with a sum of 1, or none" in line
+
+
 @pytest.mark.parametrize("given", ["(1.0, 2.0)", "None", "'abc'", "5.0"])
 def test_an_answer_of_another_shape(given: str, tmp_path: Path) -> None:
     (line,) = failed(write_law(tmp_path, "bad", law(f"        return {given}\n"))).values()
