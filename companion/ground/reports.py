@@ -19,24 +19,45 @@ from companion.types.status import Status
 from companion.wire.messages import STATUS_FORM
 
 INDENT = " " * 12
+WARNING = "warning: "
+READY, WITH_WARNINGS, NOT_READY = "ready", "ready, with warnings", "not ready"
 
 
 def readiness_lines(checks: Mapping[int, Sequence[Check]], silent: Sequence[int], wait_s: float) -> list[str]:
-    """Per vehicle whether it is ready, and below it each check."""
+    """Per vehicle whether it is ready, and below it each check; then each warning once, and the verdict on all of them."""
     lines = []
+    warnings: dict[tuple[str, str], list[int]] = {}
     for vehicle_id in sorted({*checks, *silent}):
         if vehicle_id in silent:
             lines += wrap_text(f"vehicle {vehicle_id}  {AnswerKind.MISSING}  ", str(no_report(wait_s)))
             continue
-        ready = all(check.passed for check in checks[vehicle_id])
-        warned = ready and any(check.warnings for check in checks[vehicle_id])
-        lines.append(f"vehicle {vehicle_id}  {'ready' if ready else 'not ready'}{', with warnings' if warned else ''}")
+        lines.append(f"vehicle {vehicle_id}  {verdict_of(checks[vehicle_id])}")
         for check in checks[vehicle_id]:
-            head = f"  {check.name:<11} {'ok' if check.passed else '--'}  "
-            for text in check.texts:
-                lines += wrap_text(head, text)
-                head = " " * len(head)
-    return lines
+            state, *warned = check.texts
+            lines += wrap_text(f"  {check.name:<11} {'ok' if check.passed else '--'}  ", state)
+            for text in warned:
+                warnings.setdefault((check.name, text), []).append(vehicle_id)
+    if warnings:
+        lines.append("warnings")
+    for (name, text), ids in warnings.items():
+        lines += wrap_text(f"  {name:<11} ", f"{_ids(ids)}: {text.removeprefix(WARNING)}")
+    return [*lines, *wrap_text("verdict  ", _verdict_on_all(checks, silent))]
+
+
+def verdict_of(checks: Sequence[Check]) -> str:
+    """READY, WITH_WARNINGS or NOT_READY, of one vehicle."""
+    if not all(check.passed for check in checks):
+        return NOT_READY
+    return WITH_WARNINGS if any(check.warnings for check in checks) else READY
+
+
+def _verdict_on_all(checks: Mapping[int, Sequence[Check]], silent: Sequence[int]) -> str:
+    refused = [i for i, of_one in sorted(checks.items()) if verdict_of(of_one) == NOT_READY]
+    if refused or silent:
+        parts = ((NOT_READY, refused), ("no report", silent))
+        return "; ".join(f"{what}: {_ids(ids)}" for what, ids in parts if ids)
+    warned = any(verdict_of(of_one) == WITH_WARNINGS for of_one in checks.values())
+    return f"all {len(checks)} {WITH_WARNINGS if warned else READY}"
 
 
 def readiness_as_data(checks: Mapping[int, Sequence[Check]], silent: Sequence[int]) -> list[dict[str, Any]]:
@@ -212,7 +233,7 @@ def _notices(flags: Iterable[HealthFlag]) -> list[Notice]:
 
 def _check(name: str, notices: Collection[Notice], found: str, warnings: Collection[Notice] = ()) -> Check:
     """The findings, or `found` where there are none; then the warnings."""
-    texts = ("; ".join(map(str, notices)) or found, *(f"warning: {notice}" for notice in warnings))
+    texts = ("; ".join(map(str, notices)) or found, *(f"{WARNING}{notice}" for notice in warnings))
     return Check(name, tuple(notice.code for notice in notices), texts, tuple(notice.code for notice in warnings))
 
 

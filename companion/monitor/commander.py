@@ -17,7 +17,7 @@ from companion.ground.changes import FleetAction
 from companion.ground.commands import OperateError, OperatorCommands, check_content
 from companion.ground.fleet_state import SILENT_AFTER_S
 from companion.ground.goals import advise_divided_fleet
-from companion.ground.reports import Check, no_report, readiness_of
+from companion.ground.reports import Check, no_report, readiness_of, verdict_of
 from companion.ground.session import FleetSession
 from companion.monitor.api import AnswerView, CommandRequest, CommandResult, Preview
 from companion.monitor.command_requests import ABORT, DOCTOR, HOLD, LAND, WAIT_S, fleet_action, preview_of
@@ -30,7 +30,6 @@ from companion.types.status import Status
 AT_ONCE = 16  # commands with threads of their own; a further one waits for one of them
 URGENT = frozenset({HOLD, LAND})  # they end the command under way
 REFUSALS = (ConfigError, OperateError)
-READY, WITH_WARNINGS, NOT_READY = "ready", "ready, with warnings", "not ready"
 
 T = TypeVar("T")
 
@@ -203,10 +202,9 @@ def readiness_view(vehicle_id: int, checks: Sequence[Check] | None) -> AnswerVie
         return AnswerView(vehicle_id, AnswerKind.MISSING, notice.code, notice.text, None)
     failed = [check for check in checks if not check.passed]
     warned = [check for check in checks if check.passed and check.warnings]
-    kind = NOT_READY if failed else WITH_WARNINGS if warned else READY
     code = failed[0].codes[0] if failed else warned[0].warnings[0] if warned else ""
     text = "; ".join(f"{check.name}: {check.found}" for check in [*failed, *warned])
-    return AnswerView(vehicle_id, kind, code, text or "all checks passed", None)
+    return AnswerView(vehicle_id, verdict_of(checks), code, text or "all checks passed", None)
 
 
 def _views(outcomes: Mapping[int, Outcome]) -> tuple[AnswerView, ...]:

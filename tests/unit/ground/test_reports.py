@@ -71,10 +71,20 @@ def test_warnings_of_the_audit_are_shown_and_fail_no_check() -> None:
     assert found["fleet file"] == "the same; warning: LOOKS_LIKE_DEGREES: vehicles[0].slot_enu_m"
     lines = readiness_lines({1: checks}, [], 3.0)
     assert lines[0] == "vehicle 1  ready, with warnings"
-    battery = lines.index("  battery     ok  80 %")
-    assert lines[battery + 1] == "                  warning: BATTERY_LOW: battery: 35 %"
+    assert lines[-1] == "verdict  all 1 ready, with warnings"
     data = {check["check"]: check["warnings"] for check in readiness_as_data({1: checks}, [])[0]["checks"]}
     assert data["parameters"] == [Code.AUTOPILOT_FENCE_OFF]
+
+
+def test_a_warning_of_several_vehicles_is_one_line_and_the_last_one_is_the_verdict() -> None:
+    low = with_fields(READY, warnings=(Notice(Code.BATTERY_LOW, "battery: 35 %"),))
+    of_low, good = checks_of(low, (1, 2), 1), checks_of(READY, (1, 2), 1)
+    lines = readiness_lines({1: of_low, 2: good, 4: of_low}, [], 3.0)
+    assert [line for line in lines if "BATTERY_LOW" in line] == ["  battery     1, 4: BATTERY_LOW: battery: 35 %"]
+    assert lines[-1] == "verdict  all 3 ready, with warnings"
+    assert readiness_lines({1: good, 2: good}, [], 3.0)[-1] == "verdict  all 2 ready"
+    alone = checks_of(with_fields(READY, peers=()), (1, 2), 1)
+    assert readiness_lines({1: alone, 2: good}, [3], 3.0)[-1] == "verdict  not ready: 1; no report: 3"
 
 
 def test_a_fleet_without_a_leader_is_not_ready() -> None:

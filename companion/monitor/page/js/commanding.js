@@ -48,7 +48,7 @@ export class Commanding {
   async send(name, vehicleIds = [], content = {}) {
     const fleet = this._store.fleetName;
     const who = vehicleIds.length ? `vehicles ${vehicleIds.join(", ")}` : "all vehicles";
-    const entry = { number: (this._number += 1), title: `${name}, ${who}`, result: null, error: "" };
+    const entry = { number: (this._number += 1), title: `${name === "doctor" ? "check" : name}, ${who}`, result: null, error: "" };
     this.sent = [entry, ...this.sent].slice(0, KEPT);
     this._onChange();
     try {
