@@ -60,6 +60,14 @@ def test_the_speed_of_a_replay_is_chosen_by_keys_too(open_page: OpenPage) -> Non
             page.keyboard.press(key)
             until_shown(page, lambda speed=speed: server.replay.speed == speed)
             expect(page.locator("#replay .play")).to_contain_text("Pause" if speed else "Play")
+        page.keyboard.press("k")
+        until_shown(page, lambda: server.replay.speed == 0.0)
+        for key in ("o", "o"):  # while it is paused: for when it goes on
+            page.keyboard.press(key)
+        expect(page.locator("#replay select")).to_have_value("2")
+        assert server.replay.speed == 0.0
+        page.keyboard.press("k")
+        until_shown(page, lambda: server.replay.speed == 2.0)
         page.locator("#replay select").select_option("16")
         until_shown(page, lambda: server.replay.speed == 16.0)
         page.locator("#replay select").focus()

@@ -33,8 +33,10 @@ export class Replaying {
     return speed;
   }
 
+  /** While it is paused: for when it goes on. */
   setSpeed(speed) {
-    this._ask(speed);
+    if (this.paused) this._last = speed;
+    else this._ask(speed);
     this._tell(`${speed} ×`);
   }
 
