@@ -208,7 +208,8 @@ def _obstacle(name: CommandName, status: Status, operator: str) -> Notice | None
     """Why the vehicle would refuse, as far as its report shows."""
     if status.command.holder not in ("", operator):
         return Notice(
-            Code.OTHER_HOLDS_COMMAND, f"{status.command.holder} holds command; take it over with: companion fleet take"
+            Code.OTHER_HOLDS_COMMAND,
+            f"{status.command.holder} holds command; take it over: companion fleet take, or Take command on the page",
         )
     if status.phase not in PHASES[name]:
         return Notice(Code.WRONG_PHASE, f"{name} is not possible in phase {status.phase}; {NEXT_STEP[name]}")

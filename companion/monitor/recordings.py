@@ -42,10 +42,11 @@ class NoFlightError(CompanionError):
 
 
 def read_flight(folder: Path, warn: Warn, clock_s: Callable[[], float] = time.monotonic) -> RecordedFlight:
-    """`warn` gets a line for each file that is damaged. `clock_s` is the machine's clock, by which it is played.
+    """`warn` gets a line once for each file that is damaged. `clock_s` is the machine's clock, by which it is played.
 
     Raises recording.reader.RecordingError and NoFlightError.
     """
+    warn = _once(warn)
     found = recordings(folder, warn)
     by_vehicles = [one for one in found if one.vehicle_id]
     by_ground = [one for one in found if not one.vehicle_id]
@@ -72,6 +73,18 @@ def read_flight(folder: Path, warn: Warn, clock_s: Callable[[], float] = time.mo
     reports.sort(key=lambda report: report[0])
     happenings = sorted(islice(_happenings(pairs, warn), MOST_HAPPENINGS), key=lambda one: one.time_s)
     return RecordedFlight(ReplaySource(reports, happenings, clock_s), _fleets(found, warn))
+
+
+def _once(warn: Warn) -> Warn:
+    """Each line once: a file is read several times."""
+    said: set[str] = set()
+
+    def warn_once(line: str) -> None:
+        if line not in said:
+            said.add(line)
+            warn(line)
+
+    return warn_once
 
 
 def _about(times_s: Sequence[float]) -> tuple[float, float]:

@@ -91,6 +91,15 @@ def test_an_answer_to_a_check_is_no_command_of_the_timeline(tmp_path: Path) -> N
     assert {e.outcome for e in exchanged if e.kind == "answer"} == {"accepted"}
 
 
+def test_a_damaged_file_is_named_once(tmp_path: Path) -> None:
+    (file,) = write_recordings(tmp_path, records_of(1, 30.0))
+    file.write_bytes(file.read_bytes()[:-40])
+    warnings: list[str] = []
+    read_flight(tmp_path, warnings.append)
+    assert len(warnings) == 1
+    assert "without its end" in warnings[0]
+
+
 def test_the_report_of_the_flight_has_no_findings(
     flight: tuple[Flown, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

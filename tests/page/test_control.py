@@ -123,7 +123,7 @@ def test_the_next_command_is_marked_and_one_that_is_refused_says_why(open_page: 
         expect(marked).to_have_text("Take off")
         expect(next_step).to_contain_text("within 8 s")
         all_in("observe")
-        expect(next_step).to_contain_text("Vehicle 1, 2, 3, 4 disarmed again: no take-off within some 10 s")
+        expect(next_step).to_contain_text("Vehicles 1, 2, 3, 4 disarmed again: no take-off within some 10 s")
         all_in("hold", "in_air")
         expect(marked).to_have_text("Form")
         all_in("formation", "in_air")

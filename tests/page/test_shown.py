@@ -69,6 +69,8 @@ def test_a_page_without_vehicles_says_why_and_what_starts_some(open_page: OpenPa
         expect(lines.nth(0)).to_have_text(server.unreachable[0])
         expect(lines.last).to_have_text("and 2 more")
         expect(page.locator("#vehicles .empty code").last).to_have_text("sitl fleet platoon")
+        server.unreachable = ("tcp/192.168.10.11:7447: no route to host",)
+        expect(page.locator("#vehicles .empty code")).to_have_count(1)  # no simulated fleet for one of real vehicles
         server.unreachable = ()
         expect(page.locator("tbody.vehicle")).to_have_count(4)
         expect(page.locator("#vehicles .empty")).to_have_count(0)

@@ -170,7 +170,7 @@ class CommandArbitration:
         if command.session != self._session:
             return Notice(Code.WRONG_SESSION, "it is for an earlier start of this vehicle's agent; give it again")
         if command.name is not CommandName.TAKE and self.holder not in ("", command.operator):
-            text = f"{self.holder} holds command; take it over with: companion fleet take"
+            text = f"{self.holder} holds command; take it over: companion fleet take, or Take command on the page"
             return Notice(Code.OTHER_HOLDS_COMMAND, text)
         return None
 

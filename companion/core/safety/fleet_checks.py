@@ -96,11 +96,10 @@ class FleetChecks:
         """Not where all are commanded at once, which no vehicle knows: so this is no refusal."""
         if not (followers := self._followers(peers, role)):
             return None
-        listed = ", ".join(map(str, followers))
-        return Notice(
-            Code.NO_SUCCESSOR,
-            f"no successor is in formation: vehicles {listed} hold where they stop, unless they are commanded, too",
-        )
+        left = f"their own, vehicles {', '.join(map(str, followers))} hold where they stop"
+        if len(followers) == 1:
+            left = f"its own, vehicle {followers[0]} holds where it stops"
+        return Notice(Code.NO_SUCCESSOR, f"no successor is in formation: without a command of {left}")
 
     def _warnings_before_landing(
         self, vehicle: VehicleState, peers: Collection[PeerPacket], role: Role

@@ -47,7 +47,8 @@ export class Commanding {
 
   async send(name, vehicleIds = [], content = {}) {
     const fleet = this._store.fleetName;
-    const who = vehicleIds.length ? `vehicles ${vehicleIds.join(", ")}` : "all vehicles";
+    const all = name === "reference" ? "the vehicles that may lead" : "all vehicles";
+    const who = vehicleIds.length ? `vehicles ${vehicleIds.join(", ")}` : all;
     const entry = { number: (this._number += 1), title: `${name === "doctor" ? "check" : name}, ${who}`, result: null, error: "" };
     this.sent = [entry, ...this.sent].slice(0, KEPT);
     this._onChange();

@@ -195,7 +195,7 @@ def test_a_leader_without_successors_is_warned_before_it_leaves(name: CommandNam
     follower = with_fields(slot_peer(2), phase=P.FORMATION, role=Role.FOLLOWER)
     slot, far = FlownSlot(SLOTS[1]), replace(HOMEWARD, position_enu_m=(0.0, 30.0, 5.0))
     refusal, warning = checks.judge(name, far, slot, [follower], Role.LEADER)
-    assert (refusal, code_of(warning)) == (None, Code.NO_SUCCESSOR) and "vehicles 2 hold" in warning.text
+    assert (refusal, code_of(warning)) == (None, Code.NO_SUCCESSOR) and "vehicle 2 holds" in warning.text
     successor = dataclasses.replace(checks, successors=frozenset({2}))
     assert successor.judge(name, far, slot, [follower], Role.LEADER) == (None, None)
     assert checks.judge(name, far, slot, [with_fields(follower, role=Role.LEADER)], Role.LEADER) == (None, None)

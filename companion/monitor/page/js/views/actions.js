@@ -78,7 +78,7 @@ function step(next, vehicles, store, nowMs) {
   }
   const again = vehicles.filter((vehicle) => timeS - (store.disarmed.get(vehicle.vehicle_id) ?? -Infinity) < SAID_S);
   if (again.length) {
-    return html`<strong class="warning">Vehicle ${again.map((vehicle) => vehicle.vehicle_id).join(", ")} disarmed again</strong>: no take-off
+    return html`<strong class="warning">${again.length === 1 ? "Vehicle" : "Vehicles"} ${again.map((vehicle) => vehicle.vehicle_id).join(", ")} disarmed again</strong>: no take-off
       within some ${DISARM_S} s after arming.${next === "arm" ? html` Next: <strong>Arm</strong>.` : nothing}`;
   }
   return next ? html`Next: <strong>${ACTIONS.find((action) => action.name === next).title}</strong>.` : nothing;

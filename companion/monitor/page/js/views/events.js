@@ -34,7 +34,7 @@ function alongTime({ store, act, replaying, widthPx: { events: widthPx } }) {
   const nowS = snapshot.time_s;
   const { begin_s: beginS, end_s: endS } = snapshot.replay ?? { begin_s: liveBegin(mission, nowS), end_s: nowS };
   const onPlace = (timeS, text) => (snapshot.replay ? replaying.seek(timeS) : act.hint(text));
-  return html`<div class="axis">${timeline({ mission, beginS, endS, nowS, widthPx: widthPx - 24, onPlace })}
+  return html`<div class="axis">${timeline({ mission, beginS, endS, nowS, widthPx: Math.max(0, widthPx - 24), onPlace })}
     <p class="quiet"><time>${clock(beginS)}</time><time>${clock(endS)}</time></p></div>
     ${missionList(mission, nowS)}`;
 }

@@ -63,7 +63,7 @@ function placing(store, points, planning) {
     <ol class="points">${points.map((point, i) => html`<li>${["E", "N", "U"].map((axis, j) => html`
       <label>${axis} <input type="number" step="any" aria-label="Point ${i + 1}, ${axis}, metres" .value=${point[j].toFixed(2)}
         @change=${(event) => planning.setCoordinate(i, j, Number(event.target.value))}></label>`)}</li>`)}</ol>
-    ${points.length ? html`<p class="unseen" aria-live="polite">${points.length} points, the last at ${vector(points.at(-1), 1)} metres</p>` : nothing}`;
+    ${points.length ? html`<p class="unseen" aria-live="polite">${points.length === 1 ? "1 point" : `${points.length} points`}, the last at ${vector(points.at(-1), 1)} metres</p>` : nothing}`;
 }
 
 function contentOf(data, points) {

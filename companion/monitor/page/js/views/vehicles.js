@@ -7,6 +7,7 @@ import { symbol } from "./symbol.js";
 
 const LOW_BATTERY_PERCENT = 25;
 const OLD_DATA_S = 1;
+const THIS_COMPUTER = /\/(127\.|localhost|\[::1\])/; // in an endpoint
 const MOST_ENDPOINTS = 5; // of those that are not reached
 
 export function vehicles({ store, nowMs, act }) {
@@ -30,14 +31,15 @@ export function vehicles({ store, nowMs, act }) {
 function none({ snapshot }) {
   if (!snapshot || snapshot.replay) return html`<p class="empty">No vehicle has reported yet.</p>`;
   const { connected, unreachable } = snapshot;
+  const here = unreachable.every((endpoint) => THIS_COMPUTER.test(endpoint));
   const more = unreachable.length - MOST_ENDPOINTS;
   return html`<div class="empty"><p>No vehicle has reported yet.</p>
     ${connected.length ? html`<p>Connected to ${connected.join(", ")}; its first report is awaited.</p>` : nothing}
     ${unreachable.length ? html`<p>Not reached:</p>
       <ul>${unreachable.slice(0, MOST_ENDPOINTS).map((one) => html`<li>${one}</li>`)}
         ${more > 0 ? html`<li>and ${more} more</li>` : nothing}</ul>` : nothing}
-    ${connected.length ? nothing : html`<p>On each vehicle <code>companion agent --config VEHICLE.yaml</code> starts an agent,
-      <code>sitl fleet platoon</code> on this computer a simulated fleet. The page connects by itself.</p>`}</div>`;
+    ${connected.length ? nothing : html`<p>On each vehicle <code>companion agent --config VEHICLE.yaml</code> starts an agent${
+      here ? html`, <code>sitl fleet platoon</code> on this computer the simulated fleet platoon` : nothing}. The page connects by itself.</p>`}</div>`;
 }
 
 function selectionButtons(store, act) {
