@@ -105,17 +105,24 @@ def test_a_vehicle_in_the_air_without_its_agent_is_not_drawn_on_the_ground(open_
 
 def test_a_silent_vehicle_is_marked_with_its_age(open_page: OpenPage) -> None:
     with PageServer() as server:
-        page = open_page(server.url)
+        page = open_page(server.url, height=813)
         expect(page.locator("#figures")).to_contain_text("4 of 4")
-        server.change = lambda vs: [replace(v, silent=True, age_s=12.3) if v.vehicle_id == 4 else v for v in vs]
+        server.change = lambda vs: [
+            replace(v, silent=True, age_s=12.3) if v.vehicle_id == 4 else v for v in in_hold(vs)
+        ]
+        ended = server.alarm(1, "LEADER_LOST")
+        server.alarms = [replace(ended, until_s=ended.since_s + 1.0)]
+        server.alarm(3, "BATTERY_LOW", "warning")
         server.alarm(4, "SILENT", text="no report any more")
         row = page.locator("tbody.vehicle[data-id='4']")
         expect(row).to_contain_text("SILENT")
         expect(row).to_contain_text("no report for 12.3")
         expect(page.locator("#figures")).to_contain_text("3 of 4")
-        expect(page.locator("#alarms li.critical")).to_contain_text("vehicle 4: SILENT")
+        alarms = page.locator("#alarms li strong")
+        expect(alarms).to_have_text(["vehicle 4: SILENT", "vehicle 3: BATTERY_LOW", "vehicle 1: LEADER_LOST"])
         row.click()
         expect(page.locator("#details")).to_contain_text("SILENT for 12.3")
+        expect(row).to_be_in_viewport(ratio=0.95)  # also beside alarms and details
 
 
 def click_along(page: Page, points: list[tuple[float, float]], stop_at: str = "") -> None:

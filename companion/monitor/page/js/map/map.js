@@ -17,7 +17,8 @@ const MARGIN_PX = 104;
 const LEAST_MARGIN_PX = 76; // the buttons with half a vehicle are that wide
 const MOST_EMPTY = 2; // it is shown larger where it would be by this factor
 const NOTE_TOP_PX = 8; // as in the style sheet
-const NOTE_BOTTOM_PX = 24;
+const NOTE_BOTTOM_PX = 24; // above an attribution
+const NARROW_PX = 520;
 const NOTE_APART_PX = 14;
 
 export class FleetMap {
@@ -117,7 +118,7 @@ export class FleetMap {
     const left = note.getBoundingClientRect().left - this._canvas.getBoundingClientRect().left;
     const covers = (top) => pointsPx.some(([x, y]) =>
       x > left - NOTE_APART_PX && x < left + offsetWidth + NOTE_APART_PX && y > top - NOTE_APART_PX && y < top + offsetHeight + NOTE_APART_PX);
-    const places = [NOTE_TOP_PX, this.camera.height - NOTE_BOTTOM_PX - offsetHeight];
+    const places = [NOTE_TOP_PX, this.camera.height - (this.camera.width > NARROW_PX ? NOTE_BOTTOM_PX : NOTE_TOP_PX) - offsetHeight];
     const isLow = note.classList.contains("low");
     if (covers(places[Number(isLow)]) && !covers(places[Number(!isLow)])) note.classList.toggle("low");
   }

@@ -9,7 +9,7 @@ const LANES = ["Command", "Leader", "Formation", "Alarm"];
 const LANE_PX = 20;
 const NAMES_PX = 68;
 const RIGHT_PX = 10;
-const LETTER_PX = 6.6;
+const [LETTER_PX, CAPITAL_PX] = [6.6, 8.2];
 const TOUCH_PX = 12;
 const SIGN_PX = 14;
 const MARKS = new Map([[true, ["✓", "good"]], [false, ["✗", "critical"]], [null, ["·", "text"]]]);
@@ -86,8 +86,13 @@ function signs(items, top, x, right, look, pale) {
     return svg`<g class="sign ${pale(one.timeS)}"><title>${described(one)}</title>
       ${shown.has(one) ? svg`<text x=${at} y=${top + 14} text-anchor="middle" fill=${`var(--${colour})`}>${sign}</text>`
         : svg`<line x1=${at} x2=${at} y1=${top + 4} y2=${top + 16} stroke=${`var(--${colour})`}></line>`}
-      ${shown.has(one) && roomPx >= name.length * LETTER_PX ? svg`<text x=${at + 9} y=${top + 14}>${name}</text>` : nothing}</g>`;
+      ${shown.has(one) && roomPx >= widthOf(name) ? svg`<text x=${at + 9} y=${top + 14}>${name}</text>` : nothing}</g>`;
   });
+}
+
+/** At most, in pixels. */
+function widthOf(text) {
+  return [...text].reduce((sum, letter) => sum + (/[A-Z_]/.test(letter) ? CAPITAL_PX : LETTER_PX), 0);
 }
 
 /** From one change to the next. */
@@ -97,7 +102,7 @@ function spans(changes, top, x, right, look, pale) {
     const until = i + 1 < changes.length ? x(changes[i + 1].timeS) : right;
     const [name, colour] = look(one);
     const [fill, ink] = colour ? [`var(--${colour})`, `var(--on-${colour})`] : ["var(--raised)", "var(--text)"];
-    const seen = until - from - 8 >= name.length * LETTER_PX;
+    const seen = until - from - 8 >= widthOf(name);
     return svg`<g class="span ${pale(one.timeS)}"><title>${described(one)}</title>
       <rect x=${from} y=${top + 2} width=${Math.max(2, until - from - 1)} height=${LANE_PX - 5} fill=${fill}></rect>
       ${seen ? svg`<text x=${from + 5} y=${top + 14} fill=${ink}>${name}</text>` : nothing}</g>`;
