@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from math import hypot, radians, tan
 from pathlib import Path
 
@@ -69,6 +69,7 @@ from companion.types.status import AgentIdentity
 from companion.types.steps import Steps
 from companion.types.values import GRAVITY_M_S2, Vector3
 
+MOST_SLOWED = 3  # times that a refused reference is made slower, to find one that is accepted
 COMMANDED = Path("command")  # in place of a file name in error messages
 LONGEST_REASON = 300  # characters; keys and values of a command have no limit of length
 
@@ -298,6 +299,34 @@ def check_agent(file: Path, config: AgentConfig) -> None:
         refuse(file, flyable_problems(config.fleet, vehicle.reference, drag_1_s=vehicle.drag_1_s))
 
 
+def _accepted(
+    fleet: FleetConfig,
+    described: Described,
+    reference: Reference,
+    problems: Sequence[Problem],
+    slots_enu_m: Mapping[int, Vector3],
+    drag_1_s: float,
+) -> Steps[tuple[tuple[str, float], ...]]:
+    """Values with which it passes all checks, those too that its problems kept from being made; () where none are known."""
+    accepts: dict[str, float] = {}
+    for _ in range(MOST_SLOWED):
+        if not problems or not all(problem.accepts for problem in problems):
+            break
+        accepts |= accepted_values(reference, problems)
+        try:
+            reference = commanded(COMMANDED, {"reference": described | accepts})
+        except ConfigError:  # beyond the bounds of a key
+            return ()
+        found = []
+        for problem in flyable_checks(fleet, reference, slots_enu_m=slots_enu_m, drag_1_s=drag_1_s):
+            if problem is None:
+                yield
+            else:
+                found.append(problem)
+        problems = found
+    return () if problems else tuple(accepts.items())
+
+
 def _references(fleet: FleetConfig, first: Reference, drag_1_s: float) -> ReferencePlan:
     speed_m_s, acceleration_m_s2 = most_pace(fleet)
     limits = BlendLimits(
@@ -322,7 +351,8 @@ def _references(fleet: FleetConfig, first: Reference, drag_1_s: float) -> Refere
                     yield
                 else:
                     problems.append(problem)
-            accepts = accepted_values(reference, problems)
+            if problems:
+                accepts = yield from _accepted(fleet, described, reference, problems, slots_enu_m, drag_1_s)
             refuse(COMMANDED, problems)
         except ConfigError as error:
             return Notice(Code.REFERENCE_INVALID, " ".join(str(error).split())[:LONGEST_REASON], accepts)

@@ -170,6 +170,18 @@ def test_a_reference_too_fast_is_refused_with_the_speed_and_acceleration_that_ar
     assert (held.reference.flown, held.reference.waiting) == (0, 0)
 
 
+def test_what_is_accepted_passes_the_later_checks_too() -> None:
+    """Too fast for the limits of the fleet: whether the law follows is judged only of one that is slow enough for them."""
+    flight = twelve()
+    described = {"kind": "circle", "centre_enu_m": [0.0, 0.0, 5.0], "radius_m": 4.0, "period_s": 10.0, "ramp_s": 0.5}
+    refused = asked(flight, C.REFERENCE, ReferenceChange(1, described, flight.peer_reference_s + 2.0))  # type: ignore[arg-type]
+    (reply,) = answers(flight, [refused])
+    assert not reply.accepted
+    slower = ReferenceChange(1, described | dict(reply.accepts), flight.peer_reference_s + 2.0)  # type: ignore[arg-type]
+    (reply,) = answers(flight, [asked(flight, C.REFERENCE, slower)])
+    assert reply.accepted, reply
+
+
 def test_a_check_that_takes_long_is_answered_once_and_delays_no_command() -> None:
     flight = twelve()
     check = asked(flight, C.REFERENCE, ReferenceChange(1, waypoints(200), flight.peer_reference_s + 3.0))  # type: ignore[arg-type]
