@@ -90,6 +90,18 @@ def test_the_keyboard_alone_selects_a_vehicle_with_visible_focus(open_page: Open
         expect(page.locator("#details h2")).to_have_text("Vehicle 1, leader")
 
 
+def test_the_keyboard_comes_to_the_commands_by_one_link(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url, 390, 844)
+        for _ in range(2):
+            page.keyboard.press("Tab")
+        expect(page.get_by_role("link", name="Skip to the commands")).to_be_focused()
+        page.keyboard.press("Enter")
+        page.keyboard.press("Tab")
+        page.keyboard.press("Tab")
+        expect(page.locator("button[data-action='doctor']")).to_be_focused()
+
+
 def test_everything_that_can_be_operated_has_a_name(open_page: OpenPage) -> None:
     with PageServer(may_control=True) as server:
         server.alarm(4, "SILENT")

@@ -193,6 +193,7 @@ function drawPanels() {
   if (!panels.some(({ id }) => id === page.tab)) act.tab("vehicles");
   for (const panel of PANELS) at(panel.id).hidden = !panels.includes(panel);
   at("replay").hidden = !snapshot?.replay;
+  at("skip-control").hidden = at("control").hidden;
   if (snapshot?.replay) render(replay(context), at("replay"));
   render(tabs({ panels, store, current: page.tab, act }), at("tabs"));
   for (const { id, view } of panels) if (view) render(view(context), at(id));
@@ -238,6 +239,7 @@ const sizes = new ResizeObserver((entries) => {
   for (const { target, contentRect } of entries) widthPx[target.id] = contentRect.width;
   schedulePanels();
 });
+at("skip-control").addEventListener("click", () => act.tab("control"));
 for (const id of Object.keys(widthPx)) sizes.observe(at(id));
 render(legend(), at("map-legend"));
 showTab();
