@@ -36,6 +36,8 @@ def test_every_vehicle_has_a_row_and_its_details(open_page: OpenPage) -> None:
         expect(page.locator("tbody.vehicle[data-id='1']")).to_contain_text("formation")
         expect(page.locator("tbody.vehicle[data-id='1'] .leader")).to_be_visible()
         expect(page.locator("#details")).to_contain_text("Select a vehicle")
+        ends = "['#side', '#events'].map((panel) => document.querySelector(panel).getBoundingClientRect().bottom)"
+        assert len(set(page.evaluate(ends))) == 1  # the list takes the room of the details
         page.locator("tbody.vehicle[data-id='2']").click()
         expect(page.locator("#details h2")).to_have_text("Vehicle 2, follower")
         names = {name.strip() for name in page.locator("#details dt").all_inner_texts()}

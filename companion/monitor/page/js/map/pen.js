@@ -1,10 +1,15 @@
 /** Drawing in metres: a canvas context with a camera and the colours of the theme. */
 
+const OUTLINE_PX = 3; // both sides together
+const OUTLINE_ALPHA = 0.75;
+const BARE = new Set(["grid", "edge"]); // without one: seen on any tiles, or not needed there
+
 export class Pen {
   constructor(context, camera, colours) {
     this.context = context;
     this.camera = camera;
     this.colours = colours;
+    this.overTiles = false; // then lines have an outline as texts do: tiles may have any colour
   }
 
   /** A line through points of the fleet frame. */
@@ -75,6 +80,12 @@ export class Pen {
     if (!colour) {
       context.globalAlpha = 1;
       return;
+    }
+    if (this.overTiles && !BARE.has(colour)) {
+      context.globalAlpha = alpha * OUTLINE_ALPHA;
+      context.strokeStyle = this.colours.map;
+      context.lineWidth = width + OUTLINE_PX;
+      context.stroke();
     }
     context.globalAlpha = alpha;
     context.strokeStyle = this.colours[colour];

@@ -54,6 +54,7 @@ export class Tiles {
     context.save();
     for (let x = x0; x <= x1; x += 1) for (let y = y0; y <= y1; y += 1) this._drawTile(pen, zoom, x, y);
     context.restore();
+    pen.overTiles = true;
   }
 
   /** A tile that is missing is drawn from the tile above it, magnified. */
