@@ -32,6 +32,7 @@ BRAKING_SHARE = 0.8  # of the largest braking: the rest is for wind
 RESPONDS_S = 0.3  # attitude lag, a tick, and the transport of a packet
 STANDS_M_S = 0.1  # a slower approach is noise of the estimators
 STOPS_WITHIN_S = 0.5  # the velocity is braked away in so long, as far as the envelope allows
+IN_A_ROW = 3  # ticks: a velocity that changes its sign with each packet stops no vehicle
 OLDEST_S = 0.1  # of the position that a command was decided by
 ROUNDED_RAD = 1e-3
 SLEW_S = 0.1  # after a longer time without a setpoint a stream begins anew
@@ -58,6 +59,7 @@ class CommandMonitor:
         weakest_m_s2 = min(limits.braking_m_s2, limits.braking_up_m_s2, limits.braking_down_m_s2)
         self._stops_s2_m = 0.5 / (BRAKING_SHARE * weakest_m_s2)
         self._last, self._last_s = AttitudeTarget(0.0, 0.0, 0.0, 0.0), -inf
+        self._found_ticks = 0
 
     def acceleration(
         self,
@@ -74,7 +76,9 @@ class CommandMonitor:
         (x, y, z), (vx, vy, vz), (ux, uy, uz) = vehicle.position_enu_m, vehicle.velocity_enu_m_s, wanted_enu_m_s2
         place = (x + vx * age_s, y + vy * age_s, z + vz * age_s)
         velocity = (vx + ux * RESPONDS_S, vy + uy * RESPONDS_S, vz + uz * RESPONDS_S)
-        if self._meets(now_s, place, velocity, fresh) or self._leaves(place, velocity):
+        found = self._meets(now_s, place, velocity, fresh) or self._leaves(place, velocity)
+        self._found_ticks = self._found_ticks + 1 if found else 0
+        if self._found_ticks >= IN_A_ROW:
             return (-vx / STOPS_WITHIN_S, -vy / STOPS_WITHIN_S, -vz / STOPS_WITHIN_S)
         return wanted_enu_m_s2
 

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.core.consensus.peers import PeerState
-from companion.core.safety.assurance import SHARE, CommandMonitor, FullLimits
+from companion.core.safety.assurance import IN_A_ROW, SHARE, CommandMonitor, FullLimits
 from companion.geometry.airspace import Airspace, Cylinder, Fence
 from companion.types.autopilot import AttitudeTarget, VehicleState
 from companion.types.flight import FlightPhase, Role
@@ -45,7 +45,11 @@ def peer(position_enu_m: Vector3, velocity_enu_m_s: Vector3, phase: FlightPhase 
 
 
 def braked(given: Vector3, own: VehicleState, other: PeerState | None, at: CommandMonitor) -> bool:
-    allowed = at.acceleration(NOW_S, own, {2: other} if other else {}, given)
+    near = {2: other} if other else {}
+    for _ in range(IN_A_ROW - 1):
+        assert at.acceleration(NOW_S, own, near, given) is given
+    allowed = at.acceleration(NOW_S, own, near, given)
+    at.acceleration(NOW_S, vehicle(), {}, ZERO3)  # nothing is found any more
     return allowed is not given
 
 
@@ -65,9 +69,8 @@ def test_two_that_cooperate_can_still_stop(apart_m: float, closing_m_s: float, b
 
 
 def test_it_brakes_against_the_velocity() -> None:
-    allowed = monitor().acceleration(
-        NOW_S, vehicle((2.0, 0.0, -1.0)), {2: peer((2.0, 0.0, 10.0), ZERO3)}, (3.0, 0.0, 0.0)
-    )
+    at, own, other = monitor(), vehicle((2.0, 0.0, -1.0)), peer((2.0, 0.0, 10.0), ZERO3)
+    allowed = [at.acceleration(NOW_S, own, {2: other}, (3.0, 0.0, 0.0)) for _ in range(IN_A_ROW)][-1]
     assert allowed[0] < 0.0 and allowed[1] == 0.0 and allowed[2] > 0.0
 
 
@@ -75,6 +78,13 @@ def test_the_command_counts_and_not_only_the_velocity() -> None:
     own, other = vehicle(), peer((SHARE * SEPARATION_M + 0.4, 0.0, 10.0), ZERO3)
     assert braked((4.0, 0.0, 0.0), own, other, monitor())
     assert not braked((-4.0, 0.0, 0.0), own, other, monitor())
+
+
+def test_a_velocity_that_changes_its_sign_with_each_packet_stops_nobody() -> None:
+    at, own, given = monitor(), vehicle(), (0.1, 0.0, 0.0)
+    for tick in range(100):
+        other = peer((3.0, 0.0, 10.0), (-11.9 if tick % 2 else 11.9, 0.0, 0.0))
+        assert at.acceleration(NOW_S, own, {2: other}, given) is given
 
 
 def test_who_passes_by_at_a_distance_is_let_pass() -> None:
