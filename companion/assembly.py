@@ -48,7 +48,7 @@ from companion.core.reference.heading import CourseHeading
 from companion.core.reference.plan import LiveReference, ReferencePlan, Rft
 from companion.core.reference.target import Box, TargetLimits
 from companion.core.report import ReportStage
-from companion.core.safety.assurance import CommandMonitor, FullLimits
+from companion.core.safety.assurance import CommandMonitor
 from companion.core.safety.audit import FleetFence
 from companion.core.safety.failsafe import FailsafeSettings, HealthLimits, limit_of
 from companion.core.safety.fleet_checks import FleetChecks, slow_to_brake
@@ -122,7 +122,7 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
             config,
             law,
             safety_filter,
-            SetpointStream(envelope, observer, command_monitor_of(fleet)),
+            SetpointStream(envelope, observer, CommandMonitor(fleet.separation_m, fleet.airspace, envelope)),
             limit_of(Code.POSITION_STALE),
         ),
         distant_peers=_distant_peers(fleet, member.id) if fleet.has_distant_peers else None,
@@ -218,19 +218,6 @@ def safety_filter_of(fleet: FleetConfig, own_id: int) -> SafetyFilter:
     return SafetyFilter(
         separation_settings_of(fleet, own_id), bounds_of(fleet), limits, feedback_gains(law_of(fleet.law))
     )
-
-
-def command_monitor_of(fleet: FleetConfig) -> CommandMonitor:
-    """The last check of the commands of a vehicle of this fleet."""
-    limits = output_limits_of(fleet)
-    envelope = FullLimits(
-        braking_m_s2=GRAVITY_M_S2 * tan(limits.max_tilt_rad),
-        braking_up_m_s2=GRAVITY_M_S2 * (limits.max_thrust_ratio - 1.0),
-        braking_down_m_s2=GRAVITY_M_S2 * (1.0 - limits.min_thrust_ratio),
-        max_tilt_rad=limits.max_tilt_rad,
-        max_tilt_rate_rad_s=limits.max_tilt_rate_rad_s,
-    )
-    return CommandMonitor(fleet.separation_m, fleet.airspace, envelope)
 
 
 def bounds_of(fleet: FleetConfig) -> Bounds:

@@ -25,24 +25,16 @@ def minimal(job: Job) -> tuple[Scenario, FlightOutcome]:
     outcome = fly_drawn(job, flight, time.process_time())
     score = score_of(outcome)
     limit = 1.0 if score < 1.0 else score + AS_BAD
-    tries = _count(flight.scenario)
-    tried = kept = 0
-    while tried < tries:  # `kept`: so many of those before are needed
-        tried_scenario = next((one for place, one in enumerate(simpler(flight.scenario)) if place == kept), None)
-        if tried_scenario is None:
-            break
-        tried += 1
-        report_progress(tried / tries)
-        found = fly_drawn(job, dataclasses.replace(flight, scenario=tried_scenario), time.process_time())
+    tries, needed = len(list(simpler(flight.scenario))), 0
+    for tried in range(tries):
+        without = dataclasses.replace(flight, scenario=list(simpler(flight.scenario))[needed])
+        found = fly_drawn(job, without, time.process_time())
         if not found.failure and score_of(found) < limit:
-            flight, outcome = dataclasses.replace(flight, scenario=tried_scenario), found
+            flight, outcome = without, found
         else:
-            kept += 1
+            needed += 1
+        report_progress((tried + 1) / tries)
     return flight.scenario, outcome
-
-
-def _count(scenario: Scenario) -> int:
-    return sum(1 for _ in simpler(scenario))
 
 
 def simpler(scenario: Scenario) -> Iterator[Scenario]:

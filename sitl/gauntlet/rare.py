@@ -182,13 +182,15 @@ class Flights:
     def estimated(self, name: str, count: int) -> Probability:
         """The pilot chooses the levels, then `count` first flights are estimated with them."""
         levels: tuple[float, ...] = ()
+        hours = 0.0
         while True:
             flown = self._fly(name, PILOT_FLIGHTS, levels, f"{name}, level {len(levels) + 1}")
+            if not levels:  # these were not split: they are whole
+                hours = fmean(flight.formation_s for flight in flown) / 3600.0
             level = next_level([leaf for flight in flown for leaf in flight.leaves], levels)
             levels = (*levels, EVENT if level is None else level)
             if levels[-1] == EVENT:
                 break
-        hours = fmean(flight.formation_s for flight in self._fly(name, 4, (), name)) / 3600.0
         flown = self._fly(name, count, levels, f"{name}, {len(levels)} levels")
         roots = [flight.leaves for flight in flown]
         worst = min((leaf for root in roots for leaf in root), key=lambda leaf: leaf.least)

@@ -55,10 +55,17 @@ class Search(Struct, kw_only=True):
     sensors: SensorsName | None
     families: tuple[str, ...]
     generation: int = 0
-    flights: int = 0
-    violations: int = 0
     elites: dict[str, list[Point]] = {}
     outcomes: list[FlightOutcome] = []
+
+    @property
+    def flights(self) -> int:
+        return len(self.outcomes)
+
+    @property
+    def violations(self) -> int:
+        """Flights with a violation or an exception."""
+        return sum(outcome.violation or bool(outcome.exception) for outcome in self.outcomes)
 
     def next_jobs(self) -> list[Job]:
         """The next generation of all families."""
@@ -86,8 +93,6 @@ class Search(Struct, kw_only=True):
             elites.sort(key=lambda point: point.score)
             del elites[ELITES:]
         self.generation += 1
-        self.flights += len(outcomes)
-        self.violations += sum(outcome.violation or bool(outcome.exception) for outcome in outcomes)
         self.outcomes += outcomes
 
     def worst(self, count: int) -> list[Point]:

@@ -158,10 +158,11 @@ COLUMNS = tuple(column for column, _ in TABLE)
 MEANING = f"""\
 ratio: smallest true distance of a flight in units of separation_m, of pairs where an agent commands at least one vehicle: the
 worst flight and percentiles; automatic: the worst of the other pairs, which both fly by autopilots or pilots; violations:
-flights with a ratio below 1 (sensors ideal), 0.8 (default) or 0.6 (px4_sih); vehicles to slots: that were to be in their slots
-at the end; refused: those that were not, and had refused a command; left: no longer in formation; reached: in their slots; in
-time: share of those that flew to their slots in an undisturbed flight and refused nothing, which took at most {IN_TIME:g} times
-as long as there, plus {GRACE_S:g} s; those that left or did not reach them are not in time"""
+flights with a ratio below 1 (sensors ideal), 0.8 (default) or 0.6 (px4_sih), or a vehicle beyond a wall; vehicles to slots:
+that were to be in their slots at the end; refused: those that were not, and had refused a command; left: no longer in
+formation; reached: in their slots; in time: share of those that flew to their slots in an undisturbed flight and refused
+nothing, which took at most {IN_TIME:g} times as long as there, plus {GRACE_S:g} s; those that left or did not reach them are
+not in time"""
 
 
 def page(seed: int, families: Sequence[FamilySummary], outcomes: Sequence[FlightOutcome]) -> str:

@@ -16,15 +16,15 @@ ever near. The monitor does not save a vehicle from another one that does not br
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from math import hypot, inf, isfinite, sqrt
+from math import hypot, inf, isfinite, sqrt, tan
 
 from companion.core.consensus.peers import PeerState
+from companion.core.safety.limits import OutputLimits
 from companion.geometry.airspace import Airspace
 from companion.geometry.formations import HEIGHT_WEIGHT
 from companion.types.autopilot import AttitudeTarget, VehicleState
 from companion.types.flight import FlightPhase
-from companion.types.values import Vector3
+from companion.types.values import GRAVITY_M_S2, Vector3
 
 FORMATION = FlightPhase.FORMATION
 SHARE = 0.65  # of separation_m, at which two vehicles must be able to stop
@@ -35,29 +35,21 @@ STOPS_WITHIN_S = 0.5  # the velocity is braked away in so long, as far as the en
 IN_A_ROW = 3  # ticks: a velocity that changes its sign with each packet stops no vehicle
 OLDEST_S = 0.1  # of the position that a command was decided by
 ROUNDED_RAD = 1e-3
-SLEW_S = 0.1  # after a longer time without a setpoint a stream begins anew
-
-
-@dataclass(frozen=True, slots=True)
-class FullLimits:
-    """What a vehicle can do at most: braking in the plane, upwards and downwards in m/s^2, tilt and its rate."""
-
-    braking_m_s2: float
-    braking_up_m_s2: float
-    braking_down_m_s2: float
-    max_tilt_rad: float
-    max_tilt_rate_rad_s: float
+SLEW_S = 0.1  # after a longer time without a setpoint another stream begins
 
 
 class CommandMonitor:
     """Passes a command on, or brakes."""
 
-    def __init__(self, separation_m: float, airspace: Airspace, limits: FullLimits) -> None:
+    def __init__(self, separation_m: float, airspace: Airspace, limits: OutputLimits) -> None:
         self._least_m = SHARE * separation_m
         self._airspace, self._is_box = airspace, airspace.is_box
         self._limits = limits
-        weakest_m_s2 = min(limits.braking_m_s2, limits.braking_up_m_s2, limits.braking_down_m_s2)
-        self._stops_s2_m = 0.5 / (BRAKING_SHARE * weakest_m_s2)
+        braking_m_s2 = BRAKING_SHARE * GRAVITY_M_S2
+        self._level_m_s2 = braking_m_s2 * tan(limits.max_tilt_rad)
+        self._up_m_s2 = min(self._level_m_s2, braking_m_s2 * (limits.max_thrust_ratio - 1.0))
+        self._down_m_s2 = min(self._level_m_s2, braking_m_s2 * (1.0 - limits.min_thrust_ratio))
+        self._weakest_m_s2 = min(self._up_m_s2, self._down_m_s2)
         self._last, self._last_s = AttitudeTarget(0.0, 0.0, 0.0, 0.0), -inf
         self._found_ticks = 0
 
@@ -84,7 +76,7 @@ class CommandMonitor:
 
     def _meets(self, now_s: float, place: Vector3, velocity: Vector3, fresh: Mapping[int, PeerState]) -> bool:
         """Whether a cooperating vehicle would come too near although both brake: on a straight path relative to each other."""
-        (x, y, z), (vx, vy, vz), both_m_s2 = place, velocity, 2.0 * BRAKING_SHARE * self._limits.braking_m_s2
+        (x, y, z), (vx, vy, vz), both_m_s2 = place, velocity, 2.0 * self._level_m_s2
         least_m2 = self._least_m * self._least_m
         for peer in fresh.values():
             packet = peer.packet
@@ -110,11 +102,11 @@ class CommandMonitor:
 
     def _leaves(self, place: Vector3, velocity: Vector3) -> bool:
         """Whether the vehicle could no longer stop before a wall of the fence or an obstacle."""
-        fence, limits = self._airspace.fence, self._limits
+        fence = self._airspace.fence
         (x, y, z), (lx, ly, lz), (hx, hy, hz) = place, fence.min_enu_m, fence.max_enu_m
         vx, vy, vz = velocity
         speed_m_s = sqrt(vx * vx + vy * vy + vz * vz)
-        far_m = speed_m_s * RESPONDS_S + speed_m_s * speed_m_s * self._stops_s2_m
+        far_m = speed_m_s * RESPONDS_S + 0.5 * speed_m_s * speed_m_s / self._weakest_m_s2
         in_the_box = lx + far_m <= x <= hx - far_m and ly + far_m <= y <= hy - far_m and lz + far_m <= z <= hz - far_m
         if self._is_box and in_the_box:
             return False
@@ -122,10 +114,8 @@ class CommandMonitor:
         gaps += [obstacle.gap(place) for obstacle in self._airspace.obstacles]
         for room_m, (nx, ny, nz) in gaps:
             speed_m_s = -(nx * vx + ny * vy + nz * vz)
-            most_m_s2 = limits.braking_m_s2
-            if nz != 0.0:
-                most_m_s2 = min(most_m_s2, limits.braking_up_m_s2 if nz > 0.0 else limits.braking_down_m_s2)
-            stop_m = speed_m_s * RESPONDS_S + speed_m_s * speed_m_s / (2.0 * BRAKING_SHARE * most_m_s2)
+            braking_m_s2 = self._up_m_s2 if nz > 0.0 else self._down_m_s2 if nz < 0.0 else self._level_m_s2
+            stop_m = speed_m_s * RESPONDS_S + 0.5 * speed_m_s * speed_m_s / braking_m_s2
             if speed_m_s > STANDS_M_S and room_m < stop_m:
                 return True
         return False

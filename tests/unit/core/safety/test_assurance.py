@@ -8,7 +8,8 @@ import pytest
 from msgspec.structs import replace
 
 from companion.core.consensus.peers import PeerState
-from companion.core.safety.assurance import IN_A_ROW, SHARE, CommandMonitor, FullLimits
+from companion.core.safety.assurance import IN_A_ROW, SHARE, CommandMonitor
+from companion.core.safety.limits import OutputLimits
 from companion.geometry.airspace import Airspace, Cylinder, Fence
 from companion.types.autopilot import AttitudeTarget, VehicleState
 from companion.types.flight import FlightPhase, Role
@@ -16,14 +17,14 @@ from companion.types.formation import FlownSlot
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.values import ZERO3, Vector3
 
-ENVELOPE = FullLimits(4.0, 4.0, 4.0, radians(25.0), radians(120.0))
 FENCE = Fence((-50.0, -50.0, 1.0), (50.0, 50.0, 30.0))
+LIMITS = OutputLimits(radians(25.0), radians(120.0), 0.6, 1.4, 10.0, FENCE)
 SEPARATION_M = 2.0
 NOW_S = 10.0
 
 
 def monitor(*obstacles: Cylinder) -> CommandMonitor:
-    return CommandMonitor(SEPARATION_M, Airspace(FENCE, obstacles), ENVELOPE)
+    return CommandMonitor(SEPARATION_M, Airspace(FENCE, obstacles), LIMITS)
 
 
 def vehicle(velocity_enu_m_s: Vector3 = ZERO3, position_enu_m: Vector3 = (0.0, 0.0, 10.0)) -> VehicleState:
