@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from math import inf
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from companion.recording.codec import recorded_fleet
 from companion.recording.mcap_file import Warn
 from companion.recording.reader import Recording, recordings
 from companion.recording.recorder import ground_recorder
-from companion.recording.records import COMMAND, GROUND_STATUS, REPLY, STATUS
+from companion.recording.records import COMMAND, GROUND_COMMAND, GROUND_STATUS, REPLY, STATUS
 from companion.recording.writing import WritingThread
 from companion.types.errors import CompanionError
 from companion.types.notices import Notice
@@ -71,7 +71,10 @@ def read_flight(folder: Path, warn: Warn, clock_s: Callable[[], float] = time.mo
             " give the folder of one flight"
         )
     reports.sort(key=lambda report: report[0])
-    happenings = sorted(islice(_happenings(pairs, warn), MOST_HAPPENINGS), key=lambda one: one.time_s)
+    unreceived = _sent(on_ground, reports, recorded_ids, warn)
+    happenings = sorted(
+        islice(chain(_happenings(pairs, warn), unreceived), MOST_HAPPENINGS), key=lambda one: one.time_s
+    )
     return RecordedFlight(ReplaySource(reports, happenings, clock_s), _fleets(found, warn))
 
 
@@ -120,6 +123,21 @@ def _happenings(recorded: Sequence[tuple[Recording, RecordingClock]], warn: Warn
                 yield describe_command(time_s, fleet, vehicle_id, value)
             elif (COMMAND, value.operator, value.number) in seen:
                 yield describe_reply(time_s, fleet, value)
+
+
+def _sent(
+    on_ground: Sequence[tuple[Recording, RecordingClock]],
+    reports: Sequence[TimedReport],
+    recorded_ids: Collection[tuple[str, int]],
+    warn: Warn,
+) -> Iterator[Happening]:
+    """Commands as the ground sent them, each for one start of an agent, to vehicles without a recording of their own."""
+    agents = {report.status.agent.session: report.status.agent for _, report in reports}
+    for one, clock in on_ground:
+        for message in one.read([GROUND_COMMAND], warn):
+            agent = agents.get(message.value.session)
+            if agent is not None and (agent.fleet, agent.vehicle_id) not in recorded_ids:
+                yield describe_command(clock.common_s(message.now_s), agent.fleet, agent.vehicle_id, message.value)
 
 
 def _fleets(recorded: Sequence[Recording], warn: Warn) -> dict[str, FleetConfig]:
