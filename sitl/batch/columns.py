@@ -86,7 +86,7 @@ NOT_MODELLED = dict.fromkeys(
         "stand_in.vehicles",
     ),
     "sitl run or sitl fly",
-) | dict.fromkeys(("agent_ends", "links.partitions", "links.late_telemetry", "links.false_positions"), "sitl run")
+) | dict.fromkeys(("agent_ends", "links.partitions", "links.late_telemetry", "links.lies"), "sitl run")
 
 
 def _check(scenarios: Sequence[Scenario]) -> None:

@@ -13,7 +13,8 @@ from companion.types.flight import Role
 from companion.types.values import Vector3
 from sitl.compare.hops import longest_path
 from sitl.flight.scenario import Scenario, TimelineStep
-from sitl.vehicle.config import Airframe, FalsePosition, Wind
+from sitl.vehicle.config import Airframe, Wind
+from sitl.vehicle.lies import Lie
 
 NOISE = "default"
 PEER_DELAY_S, PEER_LOSS = 0.1, 0.1
@@ -93,8 +94,8 @@ def leader_change(scenario: Scenario) -> Scenario:
 def lying(scenario: Scenario) -> Scenario:
     """The first follower on the longest path."""
     path = longest_path(scenario)
-    liar = FalsePosition(vehicle=path[min(1, len(path) - 1)], shift_enu_m=(0.0, LIE_M, 0.0))
-    return replace(scenario, links=replace(scenario.links, false_positions=(liar,)))
+    liar = Lie(vehicle=path[min(1, len(path) - 1)], by_enu=(0.0, LIE_M, 0.0))
+    return replace(scenario, links=replace(scenario.links, lies=(liar,)))
 
 
 def goal_of(scenario: Scenario) -> Vector3:

@@ -319,6 +319,7 @@ def _problems(file: ScenarioFile) -> Iterator[Problem]:
         _agent_ends(scenario),
         timeline_problems(scenario.fleet, scenario.timeline),
     )
+    yield from _lies(scenario)
 
 
 def _origin(scenario: Scenario) -> Iterator[Problem]:
@@ -387,6 +388,14 @@ def _agent_ends(scenario: Scenario) -> Iterator[Problem]:
             yield Problem(f"agent_ends[{index}].at_s", problem)
 
 
+def _lies(scenario: Scenario) -> Iterator[Problem]:
+    for index, lie in enumerate(scenario.links.lies):
+        for key, problem in lie.contradictions():
+            yield Problem(f"links.lies[{index}].{key}", problem)
+        if lie.other is not None and scenario.fleet.member(lie.other) is None:
+            yield Problem(f"links.lies[{index}].other", f"no vehicle {lie.other} in the fleet")
+
+
 BY_VEHICLE = (
     "stand_in.estimator_resets",
     "stand_in.batteries",
@@ -398,7 +407,7 @@ BY_VEHICLE = (
     "stand_in.rally_points",
     "stand_in.capture_faults",
     "links.late_telemetry",
-    "links.false_positions",
+    "links.lies",
     "agent_ends",
 )
 

@@ -18,6 +18,7 @@ from sitl.flight.scenario import Scenario, scenario_from
 from sitl.gauntlet.families import FAMILIES, FORM_S, FamilyPlan, step
 from sitl.gauntlet.faults import COMBINED, FAULTS, SEARCHED
 from sitl.gauntlet.fleets import START_SPACING, DrawnFleet, SensorsName, random_fleet, sections, to_thousandth
+from sitl.gauntlet.liars import LIARS
 
 RUNAWAY_EVERY = 10
 SEEN_S = 1.0  # a runaway has its speed, and the others have received it
@@ -25,9 +26,10 @@ RUNAWAY_M_S = (0.3, 2.0)
 DRAWS = 200
 NAMES = tuple(FAMILIES)
 FAULT_NAMES = tuple(FAULTS)
+LIAR_NAMES = tuple(LIARS)
 FAULTS_FROM = 1_000_000
 """Number of the first flight of FAULTS: those of the other families keep the numbers, and thus the bits, of before."""
-COMBINED_FROM = 2_000_000  # likewise
+COMBINED_FROM, LIARS_FROM = 2_000_000, 3_000_000  # likewise
 
 
 class Chosen(Random):
@@ -75,6 +77,8 @@ def family_of(number: int) -> str:
     """The family of a flight; it depends on its number alone."""
     if number < FAULTS_FROM:
         return NAMES[number % len(NAMES)]
+    if number >= LIARS_FROM:
+        return LIAR_NAMES[(number - LIARS_FROM) % len(LIAR_NAMES)]
     if number >= COMBINED_FROM:
         return COMBINED
     return FAULT_NAMES[(number - FAULTS_FROM) % len(FAULT_NAMES)]
@@ -85,11 +89,13 @@ def numbers_of(families: Collection[str]) -> Iterator[int]:
     for turn in count():
         others = range(turn * len(NAMES), (turn + 1) * len(NAMES))
         faults = range(FAULTS_FROM + turn * len(FAULT_NAMES), FAULTS_FROM + (turn + 1) * len(FAULT_NAMES))
-        yield from (number for number in (*others, *faults) if family_of(number) in families)
+        liars = range(LIARS_FROM + turn * len(LIAR_NAMES), LIARS_FROM + (turn + 1) * len(LIAR_NAMES))
+        yield from (number for number in (*others, *faults, *liars) if family_of(number) in families)
 
 
 def has_runaway(number: int) -> bool:
-    return number % RUNAWAY_EVERY == RUNAWAY_EVERY - 1
+    """Not beside a liar: a runaway is one whose words are true."""
+    return number < LIARS_FROM and number % RUNAWAY_EVERY == RUNAWAY_EVERY - 1
 
 
 def draw_flight(

@@ -27,6 +27,7 @@ from sitl.gauntlet.families import (
     turning,
 )
 from sitl.gauntlet.fleets import DrawnFleet, direction, moved, to_thousandth
+from sitl.gauntlet.liars import LIARS
 
 ALL_HOVER_S = FORM_S - 1.0  # armed by now: arming sets the home again
 FORMS_AGAIN_AFTER_S = 3.0  # of a split
@@ -290,6 +291,6 @@ FAULTS: dict[str, Family] = {
 }
 """7 of them, which has no factor in common with the 10 of the runaways either."""
 
-ALL_FAMILIES = FAMILIES | FAULTS
+ALL_FAMILIES = FAMILIES | FAULTS | LIARS
 COMBINED = combined.__name__
 SEARCHED = ALL_FAMILIES | {COMBINED: combined}

@@ -25,6 +25,7 @@ from sitl.flight.virtual_vehicle import BoolArray, VirtualStandIn
 from sitl.flight.watch import FlightWatch
 from sitl.gauntlet.drawing import Drawn, ImpossibleFlightError, draw_flight, family_of
 from sitl.gauntlet.fleets import SensorsName
+from sitl.gauntlet.others import SPEED_MARGIN_M_S, Excess, LeadTaken, fastest, lead_taken
 from sitl.report.metrics import Track, reported_track
 from sitl.report.progress import FlightProgress
 from sitl.vehicle.config import Links
@@ -47,6 +48,7 @@ class FlightOutcome(Struct, frozen=True, kw_only=True):
     """One flight. `ratio`: smallest distance of the pairs that count, in units of `separation_m`; None: none counted.
 
     `room`: the smallest distance of a vehicle that an agent commands to fence, obstacles and ground; None: none was.
+    `liars` lie about where they are: distances to them, and what they do, do not count. `speed` and `lead` are then judged too.
     `exception` is a whole traceback, "" without one. `codes` are those of all events, each once, in order.
     """
 
@@ -59,9 +61,12 @@ class FlightOutcome(Struct, frozen=True, kw_only=True):
     sensors: str = ""
     separation_m: float = 0.0
     runaway: int | None = None
+    liars: list[int] = []
     ratio: float | None = None
     distances: Distances | None = None
     room: LeastRoom | None = None
+    speed: Excess | None = None
+    lead: LeadTaken | None = None
     violation: bool = False
     arrivals: SlotArrivals | None = None
     undisturbed_s: dict[int, float | None] = {}
@@ -84,7 +89,7 @@ def fly(job: Job) -> FlightOutcome:
 
 def fly_drawn(job: Job, flight: Drawn, began_s: float) -> FlightOutcome:
     scenario = flight.scenario
-    sensors = str(scenario.stand_in.sensors)
+    sensors, liars = str(scenario.stand_in.sensors), sorted({lie.vehicle for lie in scenario.links.lies})
     known = FlightOutcome(
         seed=job.seed,
         number=job.number,
@@ -95,21 +100,29 @@ def fly_drawn(job: Job, flight: Drawn, began_s: float) -> FlightOutcome:
         sensors=sensors,
         separation_m=scenario.fleet.separation_m,
         runaway=flight.runaway,
+        liars=liars,
     )
     try:
         flown = fly_without_landing(scenario, JobProgress(lasts_s(scenario)))
     except Exception:  # noqa: BLE001 -- any defect of an agent is an outcome, and the other flights go on
         return replace(known, exception=traceback.format_exc(), cpu_s=_cpu_s(began_s))
-    found, arrived = distances(flown.stand_ins, flight.handed_over), arrivals(flight, flown)
+    others = [stand_in for stand_in in flown.stand_ins if stand_in.vehicle_id not in liars]
+    found, arrived = distances(others, flight.handed_over), arrivals(flight, flown)
     ratio = found.commanded.distance_m / scenario.fleet.separation_m if found.commanded else None
-    room = least_room(flown.stand_ins, scenario.fleet.airspace)
+    room = least_room(others, scenario.fleet.airspace)
+    speed = fastest(others, scenario.fleet.envelope) if liars else None
+    lead = lead_taken(scenario, flown.watch, liars) if liars else None
     return replace(
         known,
         ratio=ratio,
         distances=found,
         room=room,
+        speed=speed,
+        lead=lead,
         violation=(ratio is not None and ratio < SENSOR_FACTOR[sensors])
-        or (room is not None and room.distance_m < -INTRUSION_M[sensors]),
+        or (room is not None and room.distance_m < -INTRUSION_M[sensors])
+        or (speed is not None and speed.over_m_s > SPEED_MARGIN_M_S[sensors])
+        or lead is not None,
         arrivals=arrived,
         undisturbed_s={} if job.choices else _undisturbed_s(flight, arrived),
         refusals=flown.refusals,

@@ -43,7 +43,7 @@ def simpler(scenario: Scenario) -> Iterator[Scenario]:
     for name in ("peer_loss", "peer_jitter_s", "peer_delay_s"):
         if getattr(links, name) != (usual := getattr(Links(), name)):
             yield replace(scenario, links=replace(links, **{name: usual}))
-    for name in ("partitions", "late_telemetry"):
+    for name in ("partitions", "late_telemetry", "lies"):
         for index in range(len(items := getattr(links, name))):
             yield replace(scenario, links=replace(links, **{name: items[:index] + items[index + 1 :]}))
     for name in ("pilots", "batteries", "position_losses", "homes", "rally_points"):

@@ -21,6 +21,7 @@ from sitl.gauntlet.drawing import COMBINED_FROM, numbers_of
 from sitl.gauntlet.faults import COMBINED
 from sitl.gauntlet.fleets import SensorsName
 from sitl.gauntlet.flight import INTRUSION_M, SENSOR_FACTOR, FlightOutcome, Job
+from sitl.gauntlet.others import SPEED_MARGIN_M_S
 from sitl.gauntlet.summary import fates
 
 DRAWS = 128  # of a flight that are searched over; the few after them follow from the seed
@@ -30,7 +31,7 @@ RANDOM_SHARE = 0.2  # of a generation after the first
 CHANGED_SHARE = 0.4  # of the draws of a flight
 LEAST_SPREAD, SPREAD = 0.02, 0.7  # of a changed draw; times the standard deviation among the worst
 NOT_REACHED = 0.05  # a flight all of whose vehicles miss their slots counts as worse by so much
-NO_PAIR = 2.0
+NO_PAIR, LEAD_TAKEN = 2.0, 0.0
 STATE = "search.json"
 SCHEMA = 1
 
@@ -109,6 +110,10 @@ def score_of(outcome: FlightOutcome) -> float:
     score = NO_PAIR if outcome.ratio is None else outcome.ratio / SENSOR_FACTOR[outcome.sensors]
     if outcome.room is not None:
         score = min(score, 1.0 + outcome.room.distance_m + INTRUSION_M[outcome.sensors])
+    if outcome.speed is not None:
+        score = min(score, 1.0 + SPEED_MARGIN_M_S[outcome.sensors] - outcome.speed.over_m_s)
+    if outcome.lead is not None:
+        return LEAD_TAKEN
     ended = [fate.outcome for fate in fates(outcome)]
     return score - (
         NOT_REACHED * ended.count("not reached") / len(ended) if ended and score > 1.0 + NOT_REACHED else 0.0

@@ -6,13 +6,10 @@ from bisect import bisect_left, insort
 from collections.abc import Iterable
 from random import Random
 
-from msgspec.structs import replace
-
 from companion.core.consensus.neighbours import LOW_RATE_TICKS
-from companion.geometry.vectors import plus
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
-from companion.types.values import Vector3
 from sitl.vehicle.config import Links
+from sitl.vehicle.lies import Liars
 
 ROUNDING_S = 1e-9  # what arrives at the time of a receipt is received by the next one
 SUBSCRIBED_AFTER_S = 0.05  # a change of rate takes effect, beside the delay of the path
@@ -58,13 +55,13 @@ class Network:
 
     def __init__(self, vehicle_ids: Iterable[int], links: Links, seed: int) -> None:
         ids = list(vehicle_ids)
-        # In the order of arrival; the number of the packet keeps those of one time in order.
-        self._in_transit: dict[int, list[tuple[float, int, PeerPacket]]] = {i: [] for i in ids}
+        # In the order of arrival; the number of the packet keeps those of one time in order. True: its beacon is proven.
+        self._in_transit: dict[int, list[tuple[float, int, PeerPacket, bool]]] = {i: [] for i in ids}
         self.paths = {i: [Path(i, j, links, seed) for j in ids if j != i] for i in ids}
         self.distant: dict[int, frozenset[int]] = {i: frozenset() for i in ids}  # of each receiver
         self._next_distant: list[tuple[float, int, frozenset[int]]] = []  # from when on, receiver, its distant peers
         self._subscribed_after_s = SUBSCRIBED_AFTER_S + links.peer_delay_s + links.peer_jitter_s
-        self._false_positions = links.false_positions
+        self._liars = Liars(links.lies) if links.lies else None
         self._links = links  # those of a path may be replaced in flight
         self._is_undisturbed = not (links.peer_loss or links.peer_jitter_s or links.peer_duplicates or links.partitions)
         self._sent = 0
@@ -76,12 +73,13 @@ class Network:
             self.distant[receiver] = distant_ids
         self._sent += 1
         sender_id = packet.sender.vehicle_id
-        for false in self._false_positions:
-            if false.vehicle == sender_id and false.from_s <= now_s < false.until_s:
-                packet = _shifted(packet, *false.stated(now_s))
+        proven = True
+        if self._liars is not None:
+            true, packet = packet, self._liars.stated(packet, now_s)
+            proven = _is_proven(packet, true)
         at_low_rate = (packet.sender.sequence + sender_id) % LOW_RATE_TICKS == 0
         in_transit, distant = self._in_transit, self.distant
-        in_time = (now_s + self._links.peer_delay_s, self._sent, packet)
+        in_time = (now_s + self._links.peer_delay_s, self._sent, packet, proven)
         for path in self.paths[sender_id]:
             receiver = path.receiver
             if not at_low_rate and sender_id in distant[receiver]:
@@ -90,7 +88,7 @@ class Network:
                 insort(in_transit[receiver], in_time)
                 continue
             for arrives_s in path.arrivals_s(now_s):
-                insort(in_transit[receiver], (arrives_s, self._sent, packet))
+                insort(in_transit[receiver], (arrives_s, self._sent, packet, proven))
 
     def set_low_rate_peers(self, vehicle_id: int, distant_ids: Iterable[int], now_s: float) -> None:
         """This vehicle subscribes to these peers at 5 Hz, and to all others at 50 Hz."""
@@ -100,13 +98,14 @@ class Network:
         """Packets that arrived since the last call; as on board, their time of receipt is that of this call."""
         waiting = self._in_transit[vehicle_id]
         arrived = bisect_left(waiting, (now_s - ROUNDING_S,))
-        packets = tuple([ReceivedPeerPacket(now_s, packet) for _, _, packet in waiting[:arrived]])
+        packets = tuple([ReceivedPeerPacket(now_s, packet, proven) for _, _, packet, proven in waiting[:arrived]])
         del waiting[:arrived]
         return packets
 
 
-def _shifted(packet: PeerPacket, shift_enu_m: Vector3, velocity_enu_m_s: Vector3) -> PeerPacket:
-    """The packet with this added to its position and velocity."""
-    motion = packet.motion
-    position, velocity = plus(motion.position_enu_m, shift_enu_m), plus(motion.velocity_enu_m_s, velocity_enu_m_s)
-    return replace(packet, motion=replace(motion, position_enu_m=position, velocity_enu_m_s=velocity))
+def _is_proven(packet: PeerPacket, true: PeerPacket) -> bool:
+    """As in a fleet with identities, where a liar has no signature of another leader for a term that it makes up."""
+    beacon, known = packet.leader.beacon, true.leader.beacon
+    if beacon is None or beacon.leader_id == packet.sender.vehicle_id:
+        return True
+    return known is not None and (beacon.leader_id, beacon.term) == (known.leader_id, known.term)

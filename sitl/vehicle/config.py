@@ -10,9 +10,8 @@ from msgspec import Meta, convert, field, to_builtins
 from companion.config.fleet import GeodeticOrigin
 from companion.config.planned_flight import DEFAULT_ORIGIN
 from companion.config.values import PositionM, Section, VehicleId, about, overlaid
-from companion.geometry.vectors import scaled
 from companion.types.autopilot import AutopilotKind
-from companion.types.values import ZERO3, Vector3
+from sitl.vehicle.lies import Lie
 
 NonNegative = Annotated[float, Meta(ge=0, le=1000)]
 PerAxis = tuple[NonNegative, NonNegative, NonNegative]
@@ -329,28 +328,6 @@ class Partition(Section, frozen=True):
         return self.lost == "both" or (self.lost == "sent") is (sender in self.vehicles)
 
 
-class FalsePosition(Section, frozen=True):
-    """A time in which the packets of one vehicle state a wrong position.
-
-    shift_enu_m: the stated position minus that of its estimate
-    grows_for_s: the shift grows for so long from 0, and the stated velocity says so; with 0 it is there at once
-    """
-
-    vehicle: VehicleId
-    shift_enu_m: PositionM
-    from_s: FlightTime = 0.0
-    until_s: FlightTime = 36_000.0
-    grows_for_s: Annotated[float, Meta(ge=0, le=36_000)] = 0.0
-
-    def stated(self, now_s: float) -> tuple[Vector3, Vector3]:
-        """What is added to position and velocity."""
-        after_s = now_s - self.from_s
-        if after_s >= self.grows_for_s:
-            return self.shift_enu_m, ZERO3
-        velocity_enu_m_s = scaled(self.shift_enu_m, 1.0 / self.grows_for_s)
-        return scaled(velocity_enu_m_s, after_s), velocity_enu_m_s
-
-
 class LateTelemetry(Section, frozen=True):
     """A time in which the telemetry of one vehicle arrives late, as from a full serial buffer. Its order stays.
 
@@ -378,7 +355,7 @@ class Links(Section, frozen=True):
         Zenoh in TCP streams; `sitl run` always loses and delays single packets, as with datagrams
     partitions: times in which vehicles receive nothing from each other
     late_telemetry: times in which telemetry takes longer than `telemetry_delay_s`; `sitl run` only
-    false_positions: times in which vehicles publish wrong positions; `sitl run` only
+    lies: times in which vehicles say false things of themselves; `sitl run` only
     """
 
     telemetry_delay_s: DelaySeconds = 0.0003
@@ -390,7 +367,7 @@ class Links(Section, frozen=True):
     peer_transport: Literal["tcp", "udp"] = "udp"
     partitions: tuple[Partition, ...] = ()
     late_telemetry: tuple[LateTelemetry, ...] = ()
-    false_positions: tuple[FalsePosition, ...] = ()
+    lies: tuple[Lie, ...] = ()
 
     @property
     def disturb_peers(self) -> bool:

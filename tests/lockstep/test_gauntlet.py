@@ -24,6 +24,7 @@ from sitl.gauntlet.drawing import FAULTS_FROM, draw_flight, family_of, has_runaw
 from sitl.gauntlet.families import FAMILIES
 from sitl.gauntlet.faults import ALL_FAMILIES, FAULTS
 from sitl.gauntlet.flight import UNDISTURBED_EVERY, Job, distances, fly
+from sitl.gauntlet.liars import LIARS, NUMBERS, VECTORS_MOST
 from sitl.gauntlet.real import draw_real, outcome_of
 from sitl.gauntlet.search import read_search
 from sitl.gauntlet.summary import write_worst
@@ -59,9 +60,9 @@ def test_seed_and_number_give_the_same_scenario(number: int) -> None:
     assert 4 <= len(first.scenario.fleet.vehicles) <= 12
 
 
-def test_each_family_has_runaways() -> None:
+def test_each_family_without_liars_has_runaways() -> None:
     numbers = islice(numbers_of(ALL_FAMILIES), 10 * len(ALL_FAMILIES))
-    assert {family_of(number) for number in numbers if has_runaway(number)} == set(ALL_FAMILIES)
+    assert {family_of(number) for number in numbers if has_runaway(number)} == ALL_FAMILIES.keys() - LIARS.keys()
     flight = draw_flight(1, 9)
     assert [pilot.vehicle for pilot in flight.scenario.stand_in.pilots] == [flight.runaway]
 
@@ -94,6 +95,17 @@ def test_something_fails_in_each_flight_with_faults() -> None:
         }
         assert found[flight.family], flight.scenario
         assert flight.handed_over or flight.family == "settings_at_bounds"
+
+
+def test_liars_say_false_things_of_all_kinds_and_distances_to_them_do_not_count() -> None:
+    flights = [draw_flight(1, number) for number in islice(numbers_of(LIARS), 200)]
+    for flight in flights:
+        liars = {lie.vehicle for lie in flight.scenario.links.lies}
+        assert len(liars) == (1 if flight.family == "liar" else 2)
+    lies = [lie for flight in flights for lie in flight.scenario.links.lies]
+    others = {"position", "phase", "leader", "disarmed", "lost"}
+    assert {lie.says for lie in lies} == others | NUMBERS.keys() | VECTORS_MOST.keys()
+    assert {lie.kind for lie in lies} == {"constant", "drift", "jump", "swing", "mirror", "chase", "frozen"}
 
 
 def test_ended_agents_start_again_but_those_of_some_px4() -> None:
@@ -146,7 +158,7 @@ def test_a_flight_of_each_family_violates_no_separation_and_ends_in_formation(fa
     assert outcome.ratio is not None
     assert not outcome.violation, outcome.distances
     assert outcome.arrivals is not None
-    assert outcome.arrivals.expected
+    assert bool(outcome.arrivals.expected) is (family not in LIARS)
     assert outcome.arrivals.not_in_formation == []
 
 
@@ -171,7 +183,8 @@ def test_a_search_goes_on_and_keeps_the_worst_flights(
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     assert GAUNTLET.run(arguments(*given, "--flights", "4", "--out", str(whole))) == EXIT_DONE
     assert GAUNTLET.run(arguments(*given, "--flights", "2", "--out", str(parts))) == EXIT_DONE
-    assert GAUNTLET.run(arguments(*given, "--flights", "4", "--resume", str(parts))) == EXIT_DONE
+    resumed = arguments("--adversarial", "--seed", "5", "--flights", "4", "--resume", str(parts))
+    assert GAUNTLET.run(resumed) == EXIT_DONE
     searches = [read_search(folder) for folder in (whole, parts)]
     found = [[point.score for point in search.worst(9)] for search in searches]
     assert found[0] == found[1] and searches[0].generation == 2

@@ -1,15 +1,19 @@
 """The simulated network between agents: receivers, delay, loss and jitter of packets."""
 
-from typing import Literal
+from math import pi
+from typing import Any, Literal
 
 import pytest
 
+from common import with_fields
+from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
-from companion.types.formation import FlownSlot
-from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
+from companion.types.formation import FlownSlot, LeaderBeacon
+from companion.types.peers import LeaderReport, LostVehicle, Motion, PeerPacket, Sender
 from companion.types.values import ZERO3
 from sitl.links.network import Network
-from sitl.vehicle.config import FalsePosition, Links, Partition
+from sitl.vehicle.config import Links, Partition
+from sitl.vehicle.lies import Lie
 
 
 def packet(vehicle_id: int, sequence: int) -> PeerPacket:
@@ -134,7 +138,7 @@ def test_a_partition_loses_the_packets_of_its_direction_until_it_ends(
 
 
 def test_a_lying_vehicle_states_another_position_for_a_time() -> None:
-    links = Links(false_positions=(FalsePosition(vehicle=1, shift_enu_m=(0.0, 1.0, 0.0), from_s=1.0, until_s=2.0),))
+    links = Links(lies=(Lie(vehicle=1, by_enu=(0.0, 1.0, 0.0), from_s=1.0, until_s=2.0),))
     network = Network([1, 2], links, seed=1)
     stated = []
     for now_s in (0.5, 1.5, 2.5):
@@ -145,8 +149,8 @@ def test_a_lying_vehicle_states_another_position_for_a_time() -> None:
 
 
 def test_a_false_position_that_grows_states_a_velocity_that_agrees() -> None:
-    lie = FalsePosition(vehicle=1, shift_enu_m=(0.0, 2.0, 0.0), from_s=1.0, grows_for_s=4.0)
-    network = Network([1, 2], Links(false_positions=(lie,)), seed=1)
+    lie = Lie(vehicle=1, kind="drift", by_enu=(0.0, 2.0, 0.0), from_s=1.0, over_s=4.0)
+    network = Network([1, 2], Links(lies=(lie,)), seed=1)
     stated = []
     for now_s in (0.5, 3.0, 6.0):
         network.send(packet(1, 1), now_s)
@@ -155,3 +159,63 @@ def test_a_false_position_that_grows_states_a_velocity_that_agrees() -> None:
     true_m_s = packet(1, 1).motion.velocity_enu_m_s
     drifts_m_s = (true_m_s[0], true_m_s[1] + 0.5, true_m_s[2])
     assert stated == [(ZERO3, true_m_s), ((0.0, 1.0, 0.0), drifts_m_s), ((0.0, 2.0, 0.0), true_m_s)]
+
+
+LIES: dict[str, tuple[dict[str, Any], str, object]] = {
+    "velocity": ({"kind": "jump", "by_enu": (1.0, 0.0, 0.0)}, "velocity_enu_m_s", (1.0, 0.0, 0.0)),
+    "acceleration": ({"by_enu": (0.0, 3.0, 0.0)}, "acceleration_enu_m_s2", (0.0, 3.0, 0.0)),
+    "slot": ({"by_enu": (0.0, 0.0, 4.0)}, "slot", FlownSlot((0.0, 0.0, 4.0))),
+    "rft": ({"by_enu": (5.0, 0.0, 0.0)}, "rft", ((5.0, 0.0, 0.0), ZERO3, ZERO3)),
+    "phase": ({"phase": FlightPhase.LAND}, "phase", FlightPhase.LAND),
+    "disarmed": ({}, "armed", False),
+    "prc": ({"by": 3.0}, "prc", 5),
+    "epoch": ({"by": 7.0}, "beacon", LeaderBeacon(2, 7, 100)),
+    "claim": ({"by": 1.0}, "beacon", LeaderBeacon(2, 0, 100, claim=1)),
+    "stamp": ({"by": -500.0}, "beacon", LeaderBeacon(2, 0, 0)),
+    "mission_time": ({"kind": "drift", "by": 4.0, "over_s": 2.0}, "beacon", LeaderBeacon(2, 0, 100, 3.0)),
+    "leader": ({}, "beacon", LeaderBeacon(1, 1, 100)),
+    "sequence": ({"kind": "frozen"}, "sequence", 1),
+    "age": ({"by": 0.25}, "state_age_s", 0.25),
+    "sent": ({"by": -1.0}, "sent_s", 0.0),
+    "error": ({"by": 5.0}, "position_error", PositionError(5.0, 5.0)),
+    "formation": ({"by": 2.0}, "formation", 2),
+    "lost": ({"other": 2, "by_enu": (1.0, 2.0, 3.0)}, "lost", (LostVehicle(2, (1.0, 2.0, 3.0), ZERO3, 5.0),)),
+    "law_values": ({"by_enu": (0.0, 1.0, 0.0)}, "law_values", ((0.0, 1.0, 0.0),)),
+}
+
+
+@pytest.mark.parametrize("says", LIES)
+def test_a_lie_states_one_thing_that_is_false_and_gives_no_signature_of_another_leader(says: str) -> None:
+    keys, name, stated = LIES[says]
+    network = Network([1, 2], Links(lies=(Lie(vehicle=1, says=says, from_s=0.5, **keys),)), seed=1)  # type: ignore[arg-type]
+    true = with_fields(packet(1, 1), prc=2, beacon=LeaderBeacon(2, 0, 100), law_values=(ZERO3,))
+    network.send(true, 0.5)
+    network.send(with_fields(true, sequence=2), 2.0)
+    last = network.receive(2, 3.0)[-1]
+    parts = (last.packet, last.packet.sender, last.packet.motion, last.packet.leader, last.packet.slot)
+    assert next(getattr(part, name) for part in parts if name in part.__struct_fields__) == stated
+    assert last.proven is (says not in ("epoch", "claim"))
+
+
+MOVES = {
+    "swing": ((2.0, 0.0, 0.0), (1.0, pi, 0.0)),  # a whole period is over
+    "mirror": ((-2.0, 0.0, 0.0), (-1.0, 0.0, 0.0)),
+    "frozen": (ZERO3, (1.0, 0.0, 0.0)),
+    "chase": ((10.0, 1.0, 0.0), ZERO3),
+}
+
+
+@pytest.mark.parametrize("kind", MOVES)
+def test_a_false_position_moves_with_a_velocity_that_belongs_to_it(kind: str) -> None:
+    """Vehicle 1 flies east at 1 m/s; vehicle 2, which it comes upon, hovers at (10, 0, 0)."""
+    lie = Lie(vehicle=1, kind=kind, by_enu=(0.0, 1.0, 0.0), over_s=2.0, other=2, from_s=1.0)  # type: ignore[arg-type]
+    network = Network([1, 2, 3], Links(lies=(lie,)), seed=1)
+    resting = with_fields(packet(2, 1), position_enu_m=(10.0, 0.0, 0.0), velocity_enu_m_s=ZERO3)
+    for number, now_s in enumerate((1.0, 2.0, 3.0), start=1):
+        network.send(resting, now_s)
+        at = (now_s - 1.0, 0.0, 0.0)
+        network.send(with_fields(packet(1, number), position_enu_m=at, velocity_enu_m_s=(1.0, 0.0, 0.0)), now_s)
+    motion = network.receive(3, 3.1)[-1].packet.motion
+    position_enu_m, velocity_enu_m_s = MOVES[kind]
+    assert motion.position_enu_m == pytest.approx(position_enu_m)
+    assert motion.velocity_enu_m_s == pytest.approx(velocity_enu_m_s)

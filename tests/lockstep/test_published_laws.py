@@ -47,8 +47,8 @@ def test_a_vehicle_that_is_kept_off_its_slot_draws_no_other_with_it_under_serial
 
 def test_one_of_eight_lies_and_no_other_is_drawn_off() -> None:
     from_s, grows_for_s = 20.0, 10.0
-    lie = {"vehicle": 6, "from_s": from_s, "shift_enu_m": [0.0, 3.0, 0.0], "grows_for_s": grows_for_s}
-    shorter = {"stand_in.armable_after_s": 1.0, "timeline[3].for_s": 22.0, "links.false_positions": [lie]}
+    lie = {"vehicle": 6, "kind": "drift", "from_s": from_s, "by_enu": [0.0, 3.0, 0.0], "over_s": grows_for_s}
+    shorter = {"stand_in.armable_after_s": 1.0, "timeline[3].for_s": 22.0, "links.lies": [lie]}
     flight = fly(EXAMPLES / "trimmed_liar.yaml", overrides=shorter)
     lied = in_formation(flight) & (flight.time_s > from_s)
     assert flight.time_s[lied][-1] > from_s + grows_for_s

@@ -68,10 +68,10 @@ def test_graphs_of_100_vehicles_are_made(graph: str) -> None:
 
 
 def test_a_lying_vehicle_is_nothing_for_a_batch() -> None:
-    assert "links.false_positions" in NOT_MODELLED
+    assert "links.lies" in NOT_MODELLED
     scenario = CONDITIONS["lying"].of(GRAPHS["chain"].scenario(4, 1))
-    assert scenario.links.false_positions[0].vehicle == 2
-    with pytest.raises(ValueError, match=r"a batch does not model links\.false_positions"):
+    assert scenario.links.lies[0].vehicle == 2
+    with pytest.raises(ValueError, match=r"a batch does not model links\.lies"):
         columns_of([scenario])
 
 
