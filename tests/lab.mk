@@ -23,9 +23,11 @@
 ## make test-external  flies fleets of real PX4 and ArduCopter, of those whose programs are found (docs/external.md; some minutes)
 ## make test-vehicles, test-fleets  real processes one at a time: single vehicles, fleets
 ## make coverage   lines of the safety code and the separation filter that their tests do not reach; there must be none
+## make mutants    changes one thing of failsafes, limits, setpoint or filter at a time: the core's tests have to fail (an hour on one core);
+##                 MODULES='safety/limits control' only these; AGAIN=1 only those that survived the last run
 ## make tighten    lowers the budgets of source and tick (tests/unit/budgets.json) to today's figures
 
-.PHONY: gauntlet-adversarial gauntlet-rare bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet verdicts faults link-faults attacks test-external test-vehicles test-fleets coverage tighten
+.PHONY: gauntlet-adversarial gauntlet-rare bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet verdicts faults link-faults attacks test-external test-vehicles test-fleets coverage mutants tighten
 
 LAB = $(BIN)/python -m tests
 
@@ -109,15 +111,23 @@ test-vehicles: .venv/test.ready
 test-fleets: .venv/test.ready
 	$(REAL_TIME_TESTS) -n 1 tests/fleet tests/faults
 
-# Failsafes, limits, audit and separation filter.
-COVERED = companion/core/safety/*,companion/core/filter/*
+# Failsafes, limits, audit, setpoint and separation filter.
+COVERED = companion/core/safety/*,companion/core/control/*,companion/core/filter/*
 COVERED_BY = tests/unit/core tests/unit/link/test_failing_stages.py
 coverage: .venv/test.ready
 	$(BIN)/coverage run --include '$(COVERED)' -m pytest -q -m "not long" $(COVERED_BY)
 	$(BIN)/coverage report --show-missing --fail-under 100
 
+# Each mutant runs in a process of its own, for seconds at most.
+mutants: .venv/mutants.ready
+	$(LAB).mutants $(MODULES) $(if $(AGAIN),--again)
+
 tighten: .venv/fly.ready
 	$(LAB).bench.budgets --tighten
+
+.venv/mutants.ready: .venv/test.ready
+	$(BIN)/$(PIP_INSTALL) --editable '.[mutants]'
+	@touch $@
 
 # A venv of its own: PyTorch is as large as all the rest together, and nothing else needs it. It comes first, and in one
 # version, because RotorPy would take any.

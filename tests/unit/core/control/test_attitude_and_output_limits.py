@@ -144,3 +144,32 @@ def test_thrust_is_at_most_full_thrust_whatever_hover_needs() -> None:
         admitted = gate.admit(0.02 * tick, AttitudeTarget(0.0, 0.0, 0.0, 1.2), hover_thrust_norm)
     assert admitted is not None
     assert admitted.thrust_norm == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("gap_s", "slews_for_s"), [(0.02, 0.02), (0.07, 0.07), (0.1, 0.1), (0.3, 0.1), (60.0, 0.1), (-1.0, 0.0)]
+)
+def test_a_gap_between_setpoints_allows_no_more_than_five_ticks(gap_s: float, slews_for_s: float) -> None:
+    """A clock that goes back allows nothing."""
+    gate = OutputLimiter(LIMITS)
+    gate.open_at(7.0, LEVEL, 0.5)
+    admitted = gate.admit(7.0 + gap_s, AttitudeTarget(-0.43, 0.0, 0.43, 0.75), 0.5)
+    assert admitted is not None
+    step_rad = LIMITS.max_tilt_rate_rad_s * slews_for_s
+    assert (admitted.roll_rad, admitted.yaw_rad) == pytest.approx((-min(step_rad, 0.43), min(step_rad, 0.43)))
+    assert admitted.thrust_norm == pytest.approx(0.5 + min(10.0 * 0.5 * slews_for_s, 0.25))
+
+
+def test_thrust_slews_down_as_fast_as_up() -> None:
+    gate = OutputLimiter(LIMITS)
+    gate.open_at(0.0, LEVEL, 0.5)
+    thrusts = [gate.admit(0.02 * tick, AttitudeTarget(0.0, 0.0, 0.0, 0.2), 0.5) for tick in range(1, 5)]
+    assert [target and target.thrust_norm for target in thrusts] == pytest.approx([0.4, 0.3, 0.2, 0.2])
+
+
+def test_too_much_tilt_keeps_its_direction() -> None:
+    gate = OutputLimiter(LIMITS)
+    gate.open_at(0.0, AttitudeTarget(0.6, -0.8, 0.0, 0.5), 0.5)
+    admitted = gate.admit(0.02, AttitudeTarget(0.6, -0.8, 0.0, 0.5), 0.5)
+    assert admitted is not None
+    assert (admitted.roll_rad, admitted.pitch_rad) == pytest.approx((0.6 * radians(25.0), -0.8 * radians(25.0)))

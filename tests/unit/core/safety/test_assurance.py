@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf, nan, radians
+from math import hypot, inf, nan, radians, tan
 
 import pytest
 from msgspec.structs import replace
@@ -15,7 +15,7 @@ from companion.types.autopilot import AttitudeTarget, VehicleState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
-from companion.types.values import ZERO3, Vector3
+from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
 FENCE = Fence((-50.0, -50.0, 1.0), (50.0, 50.0, 30.0))
 LIMITS = OutputLimits(radians(25.0), radians(120.0), 0.6, 1.4, 10.0, FENCE)
@@ -158,3 +158,184 @@ def test_level_flight_is_never_touched() -> None:
     given = (0.1, -0.1, 0.05)
     other = peer((SEPARATION_M, 0.0, 10.0), ZERO3)
     assert monitor().acceleration(NOW_S, vehicle((0.05, 0.0, 0.0)), {2: other}, given) is given
+
+
+# ---------------------------------------------------------------- how far is just far enough
+
+LEVEL_M_S2 = 0.8 * GRAVITY_M_S2 * tan(radians(25.0))
+UP_M_S2, DOWN_M_S2 = 0.8 * GRAVITY_M_S2 * 0.2, 0.8 * GRAVITY_M_S2 * 0.3
+NARROW = OutputLimits(radians(25.0), radians(120.0), 0.7, 1.2, 10.0, FENCE)
+
+
+def stop_m(speed_m_s: float, braking_m_s2: float) -> float:
+    """The way to a stop: 0.3 s until the braking acts, then with all of it."""
+    return 0.3 * speed_m_s + speed_m_s**2 / (2.0 * braking_m_s2)
+
+
+@pytest.mark.parametrize("obstacles", [(), (Cylinder((0.0, 48.0), 0.1, 0.0, 2.0),)], ids=["box", "obstacle"])
+@pytest.mark.parametrize("speed_m_s", [0.8, 4.0])
+@pytest.mark.parametrize(
+    ("axis", "wall_m", "braking_m_s2"),
+    [
+        (0, 50.0, LEVEL_M_S2),
+        (0, -50.0, LEVEL_M_S2),
+        (1, 50.0, LEVEL_M_S2),
+        (1, -50.0, LEVEL_M_S2),
+        (2, 1.0, UP_M_S2),
+        (2, 30.0, DOWN_M_S2),
+    ],
+)
+def test_it_brakes_from_where_the_way_to_a_wall_is_too_short(
+    axis: int, wall_m: float, braking_m_s2: float, speed_m_s: float, obstacles: tuple[Cylinder, ...]
+) -> None:
+    """In climb with less than in level flight; what flies along the wall does not matter."""
+    outwards = 1.0 if wall_m == max(wall_m, FENCE.max_enu_m[axis]) else -1.0
+    at = CommandMonitor(SEPARATION_M, Airspace(FENCE, obstacles), NARROW)
+    for share, brakes in ((1.02, False), (0.98, True)):
+        place, velocity = [3.0, -7.0, 15.0], [0.5, -0.4, 0.3]
+        place[axis] = wall_m - outwards * share * stop_m(speed_m_s, braking_m_s2)
+        velocity[axis] = outwards * speed_m_s
+        assert braked(ZERO3, vehicle(tuple(velocity), tuple(place)), None, at) is brakes
+
+
+@pytest.mark.parametrize("speed_m_s", [0.09, 0.1, 0.11])
+def test_a_drift_into_a_wall_is_noise_up_to_a_tenth_of_a_metre_per_second(speed_m_s: float) -> None:
+    touches = vehicle((speed_m_s, 0.0, 0.0), (50.0, 0.0, 10.0))
+    assert braked(ZERO3, touches, None, monitor()) is (speed_m_s > 0.1)
+
+
+@pytest.mark.parametrize(("max_ratio", "min_ratio"), [(3.0, 0.0), (1.2, 0.0), (3.0, 0.9)])
+def test_the_vertical_braking_is_that_of_the_thrust_and_never_more_than_level(
+    max_ratio: float, min_ratio: float
+) -> None:
+    limits = OutputLimits(radians(25.0), radians(120.0), min_ratio, max_ratio, 10.0, FENCE)
+    at = CommandMonitor(SEPARATION_M, Airspace(FENCE), limits)
+    up_m_s2 = min(LEVEL_M_S2, 0.8 * GRAVITY_M_S2 * (max_ratio - 1.0))
+    down_m_s2 = min(LEVEL_M_S2, 0.8 * GRAVITY_M_S2 * (1.0 - min_ratio))
+    for wall_m, climb_m_s, braking_m_s2 in ((1.0, -2.0, up_m_s2), (30.0, 2.0, down_m_s2)):
+        for share, brakes in ((1.02, False), (0.98, True)):
+            z_m = wall_m - 0.5 * climb_m_s * share * stop_m(2.0, braking_m_s2)
+            assert braked(ZERO3, vehicle((0.0, 0.0, climb_m_s), (0.0, 0.0, z_m)), None, at) is brakes
+
+
+@pytest.mark.parametrize("age_s", [0.0, 0.25])
+@pytest.mark.parametrize(
+    "ahead", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.8, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]
+)
+def test_two_vehicles_brake_from_where_their_ways_are_too_short(ahead: Vector3, age_s: float) -> None:
+    """Both brake, to SHARE of the separation, in its metric: heights count half. What was sent has aged."""
+    weight = 0.5 if ahead[2] else 1.0
+    own_m_s, its_m_s, accel_m_s2 = 2.5, -1.1, -0.6
+    closing_m_s = weight * (own_m_s - its_m_s - accel_m_s2 * (age_s + 0.3))
+    # The velocity is that in RESPONDS_S, and the place that of the velocity which was sent.
+    for share, brakes in ((1.02, False), (0.98, True)):
+        apart_m = (0.65 * SEPARATION_M + share * stop_m(closing_m_s, 2.0 * LEVEL_M_S2)) / weight
+        own_at, its_at = (1.0, -2.0, 12.0), apart_m - its_m_s * age_s
+        place = tuple(p + a * its_at for p, a in zip(own_at, ahead, strict=True))
+        other = peer(place, tuple(a * its_m_s for a in ahead))
+        motion = replace(other.packet.motion, acceleration_enu_m_s2=tuple(a * accel_m_s2 for a in ahead))
+        aged = PeerState(replace(other.packet, motion=motion), NOW_S - age_s, 0.0, NOW_S - age_s)
+        own = vehicle(tuple(a * own_m_s for a in ahead), own_at)
+        assert braked(ZERO3, own, aged, monitor()) is brakes
+
+
+def test_it_asks_where_the_vehicle_is_now_and_not_where_it_was() -> None:
+    """The own position as well is some hundredths of a second old."""
+    for axis in range(3):
+        ahead = [0.0, 0.0, 0.0]
+        ahead[axis] = 1.0
+        weight = 0.5 if axis == 2 else 1.0
+        for share, brakes in ((1.02, False), (0.98, True)):
+            apart_m = (0.65 * SEPARATION_M + share * stop_m(weight * 4.0, 2.0 * LEVEL_M_S2)) / weight + 4.0 * 0.08
+            own = replace(vehicle(tuple(4.0 * a for a in ahead)), position_time_s=NOW_S - 0.08)
+            other = peer(tuple(p + a * apart_m for p, a in zip((0.0, 0.0, 10.0), ahead, strict=True)), ZERO3)
+            assert braked(ZERO3, own, other, monitor()) is brakes
+
+
+def test_vehicles_that_pass_each_other_are_judged_where_they_are_nearest() -> None:
+    own = vehicle((4.0, 0.0, 0.0))
+    for aside_m, brakes in ((0.66 * SEPARATION_M, False), (0.64 * SEPARATION_M, True)):
+        assert braked(ZERO3, own, peer((2.0, aside_m, 10.0), ZERO3), monitor()) is brakes
+        assert braked(ZERO3, own, peer((2.0, -aside_m, 10.0), ZERO3), monitor()) is brakes
+        assert braked(ZERO3, own, peer((2.0, 0.0, 10.0 - 2.0 * aside_m), ZERO3), monitor()) is brakes
+
+
+def test_one_that_parts_or_does_not_cooperate_hides_none_that_comes() -> None:
+    own = vehicle((4.0, 0.0, 0.0))
+    behind, held = peer((-1.0, 0.0, 10.0), ZERO3), peer((2.0, 0.0, 10.0), ZERO3, FlightPhase.HOLD)
+    near = {3: behind, 4: held, 5: peer((2.0, 0.0, 10.0), ZERO3)}
+    at = monitor()
+    assert [at.acceleration(NOW_S, own, near, ZERO3) is ZERO3 for _ in range(4)] == [True, True, False, False]
+
+
+def test_who_flies_ahead_abreast_of_another_parts_from_it() -> None:
+    abreast = peer((0.0, 1.0, 10.0), ZERO3)
+    assert not braked(ZERO3, vehicle((2.0, 0.0, 0.0)), abreast, monitor())
+    assert braked(ZERO3, vehicle((2.0, 0.1, 0.0)), abreast, monitor())
+
+
+def test_a_slow_approach_inside_the_share_is_noise() -> None:
+    for closing_m_s, brakes in ((0.09, False), (0.1, False), (0.11, True)):
+        other = peer((1.0, 0.0, 10.0), (-closing_m_s, 0.0, 0.0))
+        assert braked(ZERO3, vehicle(), other, monitor()) is brakes
+
+
+def test_it_brakes_the_velocity_away_within_half_a_second() -> None:
+    at, own, other = monitor(), vehicle((2.0, -0.4, -1.0)), peer((2.0, 0.0, 10.0), ZERO3)
+    allowed = [at.acceleration(NOW_S, own, {2: other}, (3.0, 0.0, 0.0)) for _ in range(IN_A_ROW)][-1]
+    assert allowed == pytest.approx((-4.0, 0.8, 2.0))
+
+
+def test_the_command_counts_on_each_axis_for_the_time_until_it_acts() -> None:
+    """0.3 s of 5 m/s^2 are 1.5 m/s."""
+    for axis in range(3):
+        weight, ahead = 0.5 if axis == 2 else 1.0, [0.0, 0.0, 0.0]
+        ahead[axis] = 1.0
+        for share, brakes in ((1.02, False), (0.98, True)):
+            apart_m = (0.65 * SEPARATION_M + share * stop_m(weight * 1.5, 2.0 * LEVEL_M_S2)) / weight
+            other = peer(tuple(p + a * apart_m for p, a in zip((0.0, 0.0, 10.0), ahead, strict=True)), ZERO3)
+            assert braked(tuple(5.0 * a for a in ahead), vehicle(), other, monitor()) is brakes
+
+
+# ---------------------------------------------------------------- the target
+
+
+@pytest.mark.parametrize("name", ["roll_rad", "pitch_rad"])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_target_steps_no_farther_than_the_rate_in_a_tenth_of_a_second(name: str, sign: float) -> None:
+    largest_rad = LIMITS.max_tilt_rate_rad_s * 0.1 + 1e-3  # of rounding
+    for step_rad, sent in ((largest_rad, True), (1.001 * largest_rad, False)):
+        for from_rad in (0.0, sign * 0.125):
+            at, before = monitor(), AttitudeTarget(**{**_fields(LEVEL), name: from_rad})
+            assert at.permits(NOW_S, vehicle(), before)
+            wanted = AttitudeTarget(**{**_fields(LEVEL), name: from_rad + sign * step_rad})
+            assert at.permits(NOW_S + 0.02, vehicle(), wanted) is sent
+
+
+def test_a_stream_that_begins_steps_to_any_permitted_attitude() -> None:
+    own, at = replace(vehicle(), position_time_s=0.2), monitor()
+    tilted = AttitudeTarget(radians(-24.0), 0.0, 0.0, 0.5)
+    assert at.permits(0.0, own, LEVEL)
+    assert not at.permits(0.1, own, tilted)
+    assert at.permits(0.11, own, tilted)
+    assert not at.permits(0.13, own, LEVEL)  # it slews from what was sent last
+
+
+def test_the_tilt_is_that_of_both_angles_with_a_margin_for_rounding() -> None:
+    assert monitor().permits(NOW_S, vehicle(), AttitudeTarget(LIMITS.max_tilt_rad + 1e-3, 0.0, 0.0, 0.5))
+    for tilt_rad, sent in ((radians(25.0) + 0.0009, True), (radians(25.0) + 0.0011, False)):
+        for roll, pitch in ((1.0, 0.0), (0.0, -1.0), (0.6, -0.8)):
+            assert hypot(roll, pitch) == pytest.approx(1.0)
+            target = AttitudeTarget(roll * tilt_rad, pitch * tilt_rad, 0.0, 0.5)
+            assert monitor().permits(NOW_S, vehicle(), target) is sent
+
+
+@pytest.mark.parametrize("thrust_norm", [0.0, 1.0])
+def test_all_of_the_range_of_the_thrust_is_permitted(thrust_norm: float) -> None:
+    assert monitor().permits(NOW_S, vehicle(), AttitudeTarget(0.0, 0.0, 0.0, thrust_norm))
+
+
+def test_a_position_of_a_tenth_of_a_second_is_new_enough() -> None:
+    own = replace(vehicle(), position_time_s=0.0)
+    assert monitor().permits(0.1, own, LEVEL)
+    assert not monitor().permits(0.101, own, LEVEL)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import inf, radians
 
 import pytest
+from msgspec.structs import replace
 
 from common import slot_peer, with_fields
 from companion.core.consensus.peers import PeerState
@@ -14,8 +15,13 @@ from companion.core.safety.failsafe import (
     FAILSAFES,
     OTHER_FAILSAFES,
     FailsafeSettings,
+    FailsafeWatch,
     HealthLimits,
+    flags_notice,
+    leaves_after_s,
     limit_of,
+    named_notice,
+    schedule,
 )
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.core.safety.limits import OutputLimits
@@ -23,15 +29,29 @@ from companion.core.safety.return_check import ReturnCheck
 from companion.core.safety.safeguard import (
     LATE_TICK_S,
     SILENT_TOO_LONG_S,
-    FailureResponse,
     SafeguardStage,
     Safety,
 )
 from companion.geometry.airspace import Fence
 from companion.mavlink.autopilot_types import PROFILES
-from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState, PositionError, VehicleState
-from companion.types.flight import STREAMING, FailsafeAction, Flight, FlightPhase, HealthFlag, PhaseChange, Role
-from companion.types.notices import Code
+from companion.types.autopilot import (
+    AutopilotKind,
+    AutopilotMode,
+    LandedState,
+    PositionError,
+    VehicleState,
+)
+from companion.types.flight import (
+    FLAG_TEXTS,
+    STREAMING,
+    FailsafeAction,
+    Flight,
+    FlightPhase,
+    HealthFlag,
+    PhaseChange,
+    Role,
+)
+from companion.types.notices import Code, Notice
 from companion.types.status import NearestVehicle, SeparationReport
 from companion.types.tick import Inbox
 from companion.types.values import Place
@@ -539,5 +559,83 @@ def test_the_table_names_the_values_that_the_code_uses() -> None:
     assert not [row.condition for row in rows.values() if "{" in row.raised + row.clears]
 
 
-def test_without_a_packet_published_before_a_failure_none_is_published_after_it() -> None:
-    assert FailureResponse().packet(1.0) is None
+@pytest.mark.parametrize("flag", list(F))
+def test_each_step_is_due_at_its_time_exactly(flag: HealthFlag) -> None:
+    (row,) = (row for row in FAILSAFES if row.condition == flag)
+    due_s = [due_s for due_s, _ in schedule(row.steps, SETTINGS)]
+    expected = {*IN_FORMATION[flag].values(), *AFTERWARDS.get(flag, {}).values()}
+    assert sorted(set(due_s)) == pytest.approx(sorted(expected))
+
+
+def test_what_the_fleet_file_does_not_choose() -> None:
+    """A low battery lands, a leader alone holds after 5 s, and nothing else lands by itself."""
+    chosen = FailsafeSettings()
+    assert (chosen.low_battery_action, chosen.land_after_s, chosen.leader_holds_after_s) == (A.LAND, None, 5.0)
+
+
+def test_a_handed_over_stream_ends_after_this_time() -> None:
+    """The autopilot gets 6 s at the end of an agent, and half a second after a defect or without setpoints."""
+    assert [leaves_after_s(code) for code in (Code.AGENT_STOPPING, Code.AGENT_FAILED)] == [6.0, 0.5]
+    assert limit_of(Code.NO_SETPOINT) == 0.5
+
+
+# ---------------------------------------------------------------- the watch alone
+
+
+def watch_of(flag: HealthFlag, seconds: list[float]) -> list[FailsafeAction]:
+    watch = FailsafeWatch(SETTINGS)
+    return [watch.update(now_s, P.FORMATION, {flag}, False).action for now_s in seconds]
+
+
+def test_a_step_is_taken_at_its_time_and_not_before() -> None:
+    assert watch_of(F.TICK_LATE, [0.0, 4.999, 5.0]) == [A.WARN, A.WARN, A.HOLD]
+    assert watch_of(F.POSE_LOST, [0.0, 0.299, 0.3, 1.799, 1.8]) == [A.WARN, A.WARN, A.HOLD, A.HOLD, A.LAND]
+
+
+def test_the_watch_warns_of_a_flag_once_in_five_seconds() -> None:
+    watch = FailsafeWatch(SETTINGS)
+    both = {F.BATTERY_LOW, F.DUPLICATE_ID}
+    assert watch.update(0.0, P.FORMATION, both, False).warnings == (F.BATTERY_LOW, F.DUPLICATE_ID)
+    for now_s, warned in ((4.9, ()), (5.0, (F.DUPLICATE_ID,))):
+        watch.update(now_s - 0.05, P.FORMATION, set(), False)
+        assert watch.update(now_s, P.FORMATION, {F.DUPLICATE_ID}, False).warnings == warned
+
+
+def test_the_watch_is_idle_once_nothing_is_remembered() -> None:
+    watch = FailsafeWatch(SETTINGS)
+    assert watch.is_idle
+    watch.update(0.0, P.FORMATION, {F.BATTERY_LOW}, False)
+    assert not watch.is_idle
+    watch.update(3.0, P.FORMATION, {F.BATTERY_LOW}, False)
+    watch.update(3.1, P.HOLD, set(), False)
+    assert not watch.is_idle  # it still lands
+    watch.update(3.2, P.OBSERVE, set(), False)
+    assert watch.is_idle
+
+
+def test_the_watch_names_the_flags_of_the_highest_action_in_order() -> None:
+    watch = FailsafeWatch(SETTINGS)
+    found = watch.update(0.0, P.FORMATION, {F.OUTSIDE_FENCE, F.ARMED_STALE, F.DUPLICATE_ID}, False)
+    assert (found.action, found.flags) == (
+        A.HOLD,
+        tuple(flag for flag in F if flag in {F.ARMED_STALE, F.OUTSIDE_FENCE}),
+    )
+
+
+def test_the_notice_of_a_flag_names_what_it_is_about() -> None:
+    lead = LeadView(Role.LEADER, (0, 0), None, 0.0, None, reference_s=0.0, heading=None)
+    consensus = Consensus(prc=1, lead=lead, neighbours=Neighbours(), peers=PeerSets(in_doubt=(4, 7)))
+    separation, vehicle = SeparationReport(unshaken=("4", "crane")), VehicleState(pose_fault="it jumps")
+    named = {F.NOT_SHAKEN_OFF: ": 4, crane", F.PEER_IN_DOUBT: ": 4, 7", F.POSE_REFUSED: ": it jumps"}
+    for flag in F:
+        found = named_notice(flag, vehicle, consensus, separation)
+        assert found == Notice(Code(flag), FLAG_TEXTS[flag] + named.get(flag, ""))
+    nameless = replace(consensus, peers=PeerSets())
+    for flag in named:
+        found = named_notice(flag, VehicleState(), nameless, SeparationReport())
+        assert found == Notice(Code(flag), FLAG_TEXTS[flag])
+
+
+def test_several_flags_are_named_in_their_order_under_the_code_of_the_first() -> None:
+    first, second = [flag for flag in F if flag in {F.BATTERY_LOW, F.DUPLICATE_ID}]
+    assert flags_notice({second, first}) == Notice(Code(first), f"{FLAG_TEXTS[first]}, {FLAG_TEXTS[second]}")
