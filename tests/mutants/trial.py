@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.util import spec_from_file_location
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import pytest
@@ -95,7 +96,7 @@ class _Collected:
             if apply is None:
                 self._send("result", (index, None, chosen))
                 continue
-            killer = _killer(apply, [items[name] for name in chosen], sum(seconds[name] for name in chosen))
+            killer = _killer(apply, [(items[name], seconds[name]) for name in chosen])
             if killer is not None and chosen:
                 self._killers[mutant.function, chosen[killer]] += 1
             again = killer is None and chosen and not mutant.is_constant and _reached(mutant, imports)
@@ -212,16 +213,16 @@ def _code_of(mutant: Mutant, file: str, qualname: str) -> types.CodeType | None:
     return None
 
 
-def _killer(apply: Callable[[], None], items: Sequence[pytest.Item], usual_s: float) -> int | None:
-    """The place of the first test that fails, or does not end; None where all pass."""
-    if not items:
+def _killer(apply: Callable[[], None], tests: Sequence[tuple[pytest.Item, float]]) -> int | None:
+    """The place of the first test that fails, or does not end; None where all pass. `tests`: each with its usual seconds."""
+    if not tests:
         return None
     reader, writer = os.pipe()
     if not (child := os.fork()):
-        _limit(usual_s)
         apply()
-        for index, (item, following) in enumerate(_pairs(items)):
+        for index, (item, following) in enumerate(_pairs([item for item, _ in tests])):
             os.write(writer, index.to_bytes(4, "big"))
+            _limit(10.0 * tests[index][1])
             if any(each.failed for each in runtestprotocol(item, log=False, nextitem=following)):
                 os._exit(1)
         os._exit(0)
@@ -232,10 +233,10 @@ def _killer(apply: Callable[[], None], items: Sequence[pytest.Item], usual_s: fl
     return None if status == 0 else int.from_bytes(last, "big")
 
 
-def _limit(usual_s: float) -> None:
+def _limit(further_s: float) -> None:
     """CPU time and memory: a loop without an end is noticed, on a machine with other load as well."""
-    seconds = 3 + int(4.0 * usual_s)
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+    seconds = int(process_time() + further_s) + 2
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, resource.RLIM_INFINITY))
     resource.setrlimit(resource.RLIMIT_DATA, (MOST_BYTES, MOST_BYTES))
 
 
@@ -245,7 +246,7 @@ def _killed_by_import(mutant: Mutant, chosen: Iterable[str], seconds: dict[str, 
     files = [file for file, _ in counts.most_common()]
     for part in (files[:FEW_FILES], files[FEW_FILES:]):
         names = {name for name in chosen if name.partition("::")[0] in part}
-        if names and _fails(mutant, part, names, 20.0 + sum(seconds[name] for name in names)):
+        if names and _fails(mutant, part, names, 20.0 + 4.0 * sum(seconds[name] for name in names)):
             return True
     return False
 

@@ -376,7 +376,7 @@ class FailsafeWatch:
     ) -> ActiveFailsafe:
         """`commanded`: the last tick executed a command."""
         self._forget(phase, flags, commanded)
-        self.is_idle = not (flags or self._since_s or self._begun or self._landed_for or self._overridden)
+        self.is_idle = not (flags or self._since_s or self._begun)  # the other sets are of raised flags
         if not flags and not self._since_s:
             return NONE_ACTIVE
         begins = [flag for flag in flags if flag not in self._since_s and self._counts(flag, phase)]

@@ -27,7 +27,6 @@ from companion.core.safety.failsafe import (
     leaves_after_s,
     limit_of,
     named_notice,
-    schedule,
 )
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.types.autopilot import (
@@ -86,7 +85,6 @@ class SafeguardStage:
     ) -> None:
         self._checks = checks
         self._limits = limits
-        self._settings = settings
         self._profiles = profiles
         self._watch = FailsafeWatch(settings)
         self._stopping_s: float | None = None  # since when this agent is to stop
@@ -168,10 +166,8 @@ class SafeguardStage:
         if flight.phase not in STREAMING or vehicle.autopilot is None:
             return [end]
         reason = reason.about(f"no setpoint for {SILENT_TOO_LONG_S} s")
-        ((_, action),) = schedule(
-            BY_CONDITION[Code.NO_SETPOINT].steps_of(profile_of(vehicle, self._profiles)), self._settings
-        )
-        holds = action is FailsafeAction.HOLD and now_s - vehicle.mode_time_s < MODE_SURE_S
+        (step,) = BY_CONDITION[Code.NO_SETPOINT].steps_of(profile_of(vehicle, self._profiles))
+        holds = step.action is FailsafeAction.HOLD and now_s - vehicle.mode_time_s < MODE_SURE_S
         return [PhaseRequest(PhaseChange.HAND_OVER_NOW if holds else PhaseChange.GIVE_UP, reason), end]
 
 

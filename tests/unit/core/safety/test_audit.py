@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from companion.core.autopilot import SentFrom
+from companion.core.autopilot import Judgement, ParameterRule, SentFrom
 from companion.core.safety.audit import AuditFinding, Facts, FleetFence, FoundHome, PositionCheck, Verdict, audit, worst
+from companion.core.safety.fleet_checks import NO_ALTITUDE, TWO_STREAMS
 from companion.mavlink.autopilot_types import PROFILES, VISION_PROFILES
 from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code
@@ -182,7 +183,10 @@ def test_the_autopilot_s_fence_leaves_room_for_the_fleet_s(
     found = {finding.subject: finding for finding in audit(facts)}
     assert (found[radius].verdict, found[ceiling].verdict) == verdicts
     assert words in f"{found[radius]}; {found[ceiling]}"
-    assert {found[name].code for name in (radius, ceiling)} <= {None, Code.AUTOPILOT_FENCE_SMALL}
+    for line, size_m in ((found[radius], radius_m), (found[ceiling], ceiling_m)):
+        assert line.code is (None if line.verdict is OK else Code.AUTOPILOT_FENCE_SMALL)
+        assert bool(line.remedy) is (line.verdict is not OK)
+        assert line.found.startswith(f"{size_m:g} m")
 
 
 @pytest.mark.parametrize(("autopilot", "action"), [(PX4, "GF_ACTION"), (ARDUPILOT, "FENCE_ACTION")])
@@ -239,6 +243,7 @@ def test_vehicle_in_order_has_no_findings() -> None:
         "positions", "attitudes", "modes", "landed states", "estimator and checks", "origin", "home", "battery", "mode",
     ]  # fmt: skip
     assert "1.0, 2.0, 0.0 m" in next(found.found for found in audit(BENCH) if found.subject == "origin")
+    assert str(audit(BENCH)[-1]) == "mode: AUTO.LOITER, disarmed; wanted: disarmed"
 
 
 @pytest.mark.parametrize(
@@ -271,6 +276,128 @@ def test_each_defect_has_one_finding(facts: Facts, subject: str, verdict: Verdic
     found = next(found for found in audit(facts) if found.subject == subject)
     assert found.remedy
     assert found.remedy in str(found)
+
+
+# Of each line of the audit: the code, what was found, and a number or name that is wanted.
+LINES = [
+    (BENCH, "positions", None, "50.0 Hz", "40 Hz"),
+    (
+        replace(BENCH, rates_hz={**BENCH.rates_hz, "positions": 39.94}),
+        "positions",
+        Code.TELEMETRY_SLOW,
+        "39.9 Hz",
+        "40 Hz",
+    ),
+    (replace(BENCH, rates_hz={}), "attitudes", Code.TELEMETRY_SLOW, "0.0 Hz", "40 Hz"),
+    (replace(BENCH, rates_hz={}), "modes", Code.TELEMETRY_SLOW, "0.0 Hz", "1.5 Hz"),
+    (replace(BENCH, rates_hz={}), "landed states", Code.TELEMETRY_SLOW, "0.0 Hz", "2 Hz"),
+    (replace(BENCH, round_trip_s=0.0), "round trip", None, "0.0 ms", "100 ms"),
+    (replace(BENCH, round_trip_s=0.1), "round trip", None, "100.0 ms", "100 ms"),
+    (replace(BENCH, round_trip_s=0.1001), "round trip", Code.TELEMETRY_LATE, "100.1 ms", "100 ms"),
+    (BENCH, "estimator and checks", None, "passed", "preflight checks"),
+    (
+        replace(BENCH, failing_checks="no GPS"),
+        "estimator and checks",
+        Code.ARMING_CHECKS_FAILED,
+        "no GPS",
+        "preflight checks",
+    ),
+    (BENCH, "origin", None, "inside the fleet's fence at 1.0, 2.0, 0.0 m", "inside"),
+    (
+        replace(BENCH, position_check=PositionCheck.OUTSIDE),
+        "origin",
+        Code.POSITION_OUTSIDE_FENCE,
+        "outside the fleet's fence at 1.0, 2.0, 0.0 m",
+        "inside",
+    ),
+    (
+        replace(BENCH, position_check=PositionCheck.NO_ORIGIN),
+        "origin",
+        Code.ORIGIN_MISSING,
+        "position, but no origin of its local frame",
+        "inside",
+    ),
+    (replace(BENCH, position_check=PositionCheck.UNKNOWN), "origin", Code.POSITION_MISSING, "no position", "inside"),
+    (replace(BENCH, position_enu_m=None), "origin", None, "inside the fleet's fence", "inside"),
+    (replace(BENCH, lacks_altitude=True), "take-off", Code.ALTITUDE_UNKNOWN, NO_ALTITUDE, "GPS_GLOBAL_ORIGIN"),
+    (BENCH, "home", None, "0.4 m from the vehicle", "1.5 m"),
+    (replace(BENCH, home=FoundHome(1.49, 1.5)), "home", None, "1.5 m from the vehicle", "1.5 m"),
+    (replace(BENCH, home=FoundHome(1.5, 1.5)), "home", Code.HOME_ELSEWHERE, "1.5 m from the vehicle", "1.5 m"),
+    (replace(BENCH, home=FoundHome(None, 1.5)), "home", Code.HOME_UNKNOWN, "not reported", "1.5 m"),
+    (replace(BENCH, home=FoundHome(0.4, 1.5, "rally points")), "home", Code.RETURNS_ELSEWHERE, "rally points", "1.5 m"),
+    (replace(BENCH, battery_percent=40.0), "battery", None, "40 %", "40 %"),
+    (replace(BENCH, battery_percent=39.9), "battery", Code.BATTERY_LOW, "40 %", "40 %"),
+    (replace(BENCH, battery_percent=20.0), "battery", Code.BATTERY_LOW, "20 %", "40 %"),
+    (replace(BENCH, battery_percent=0.0), "battery", Code.BATTERY_LOW, "0 %", "40 %"),
+    (replace(BENCH, battery_percent=-1.0), "battery", Code.BATTERY_UNKNOWN, "not reported", "40 %"),
+    (BENCH, "mode", None, "AUTO.LOITER, disarmed", "disarmed"),
+    (replace(BENCH, armed=True), "mode", Code.VEHICLE_ARMED, "AUTO.LOITER, armed", "disarmed"),
+    (replace(BENCH, mode_name=None), "mode", None, "unknown, disarmed", "disarmed"),
+    (replace(BENCH, interleaves=True), "autopilot", Code.AUTOPILOT_ID_SHARED, TWO_STREAMS, "one stream"),
+    (
+        replace(NO_LANDED_STATES, missing={"landed states"}),
+        "landed states",
+        Code.MESSAGE_MISSING,
+        "no EXTENDED_SYS_STATE",
+        "EXTENDED_SYS_STATE",
+    ),
+    (replace(BENCH, awaits_poses=True), "position", None, "by poses, which only the agent gets", "prepare"),
+]
+
+
+@pytest.mark.parametrize(("facts", "subject", "code", "found", "wanted"), LINES)
+def test_each_line_says_what_was_found_and_what_is_wanted(
+    facts: Facts, subject: str, code: Code | None, found: str, wanted: str
+) -> None:
+    (line,) = [line for line in audit(facts) if line.subject == subject]
+    assert (line.code, line.found) == (code, found)
+    assert wanted in line.wanted
+    assert (line.verdict is OK) is (code is None)
+    assert (line.remedy == "") is (code is None)
+    assert str(line) == f"{subject}: {found}; wanted: {line.wanted}" + (f"; {line.remedy}" if code else "")
+
+
+def test_a_rate_that_is_missing_is_named_by_its_message_only_where_the_message_is_known_to_be_missing() -> None:
+    """Not where it comes, though slowly; nor where the telemetry has no message of its own."""
+    never = replace(NO_LANDED_STATES, missing={"landed states"})
+    slow = replace(never, rates_hz={**BENCH.rates_hz, "landed states": 2.0})
+    assert verdicts(slow)["landed states"] is OK
+    for facts in (NO_LANDED_STATES, replace(never, messages={}), replace(never, missing={"modes"})):
+        (line,) = [line for line in audit(facts) if line.subject == "landed states"]
+        assert line.code is Code.TELEMETRY_SLOW
+    (line,) = [line for line in audit(never) if line.code is Code.MESSAGE_MISSING]
+    assert line.remedy == "upgrade"
+
+
+def test_an_empty_battery_is_refused_and_a_low_one_is_not() -> None:
+    found = {
+        percent: verdicts(replace(BENCH, battery_percent=percent))["battery"] for percent in (19.9, 20.0, 39.9, 40.0)
+    }
+    assert found == {19.9: REFUSAL, 20.0: WARNING, 39.9: WARNING, 40.0: OK}
+
+
+@pytest.mark.parametrize(("value", "verdict"), [(0.54, OK), (0.55, WARNING), (0.445, OK), (0.44, WARNING), (0.49, OK)])
+def test_the_hover_thrust_may_differ_by_a_tenth_of_the_larger_one(value: float, verdict: Verdict) -> None:
+    """0.49 is nine tenths of 0.544, and 0.441 nine tenths of 0.49."""
+    found = finding(Facts(RULES[PX4], {"MPC_THR_HOVER": value}, 0.49))
+    assert (found.verdict, found.found) == (verdict, f"{value:.3g}")
+    assert found.wanted.endswith(", 0.49")
+    assert bool(found.code) is bool(found.remedy) is (verdict is not OK)
+
+
+def test_a_value_is_shown_with_its_unit_and_meaning_and_what_is_to_be_set() -> None:
+    def judge(value: float) -> Judgement:
+        return Judgement(OK if value == 1.0 else WARNING, "too much" if value > 1.0 else "")
+
+    rule = ParameterRule("A_LIMIT", Code.PARAMETER_MISSING, "one", judge, unit="m", remedy="ask somebody")
+    found = {value: finding(Facts((rule,), {"A_LIMIT": value}, HOVER)) for value in (1.0, 0.0, 2.0)}
+    assert [found[value].found for value in found] == ["1 m", "0 m", "2 m (too much)"]
+    assert {line.wanted for line in found.values()} == {"one"}
+    assert [found[value].remedy for value in found] == ["", "ask somebody", "ask somebody"]
+    assert [found[value].code for value in found] == [None, rule.code, rule.code]
+    unitless = finding(Facts((replace(rule, unit="", safe=lambda _: 0.0),), {"A_LIMIT": 2.0}, HOVER))
+    assert (unitless.found, unitless.remedy, unitless.fix) == ("2 (too much)", "set A_LIMIT to 0", 0.0)
+    assert audit(Facts((rule,), {}, HOVER)) == ()
 
 
 def test_a_short_round_trip_is_in_order() -> None:
@@ -327,5 +454,5 @@ def test_what_needs_poses_is_left_to_the_agent() -> None:
     rates_hz = {"positions": 0.0, "attitudes": 50.0, "modes": 2.0, "landed states": 5.0}
     findings = audit(Facts((), {}, HOVER, rates_hz=rates_hz, awaits_poses=True))
     assert {finding.verdict for finding in findings} == {Verdict.OK}
-    assert "position" in [finding.subject for finding in findings]
+    assert [finding.subject for finding in findings] == ["attitudes", "modes", "landed states", "position"]
     assert worst(audit(Facts((), {}, HOVER, rates_hz=rates_hz))) is Verdict.REFUSAL

@@ -613,6 +613,37 @@ def test_the_watch_is_idle_once_nothing_is_remembered() -> None:
     assert watch.is_idle
 
 
+def test_the_watch_is_not_idle_while_it_remembers_what_ended_the_formation() -> None:
+    """Else a later command would not make it forget."""
+    watch = FailsafeWatch(SETTINGS)
+    watch.update(0.0, P.FORMATION, {F.OUTSIDE_FENCE}, False)
+    watch.update(0.1, P.HOLD, set(), False)
+    assert not watch.is_idle
+    watch.update(0.2, P.HOLD, set(), True)
+    assert watch.is_idle
+
+
+def test_each_flag_that_has_ended_a_formation_counts_in_the_hold_and_one_that_only_warned_does_not() -> None:
+    watch, actions = FailsafeWatch(SETTINGS), []
+    watch.update(0.0, P.FORMATION, {F.LEADER_LOST, F.FLEET_LINK_LOST}, False)
+    watch.update(0.1, P.FORMATION, {F.OUTSIDE_FENCE}, False)
+    watch.update(0.2, P.HOLD, set(), False)
+    for flag in (F.FLEET_LINK_LOST, F.LEADER_LOST):
+        watch.update(1.0, P.HOLD, {flag}, False)
+        actions.append(watch.update(30.0, P.HOLD, {flag}, False).action)
+        watch.update(31.0, P.HOLD, set(), False)
+    assert actions == [A.WARN, A.LAND]
+
+
+def test_a_landing_that_a_pilot_ends_is_still_ended_by_a_later_command() -> None:
+    watch, low = FailsafeWatch(SETTINGS), {F.BATTERY_CRITICAL}
+    assert [watch.update(now_s, P.HOLD, low, False).action for now_s in (0.0, 3.0)] == [A.WARN, A.LAND]
+    watch.update(3.1, P.OBSERVE, low, False)
+    assert watch.update(4.0, P.HOLD, low, False).action is A.WARN
+    watch.update(4.1, P.HOLD, low, True)
+    assert watch.update(60.0, P.HOLD, low, False).action is A.WARN
+
+
 def test_the_watch_names_the_flags_of_the_highest_action_in_order() -> None:
     watch = FailsafeWatch(SETTINGS)
     found = watch.update(0.0, P.FORMATION, {F.OUTSIDE_FENCE, F.ARMED_STALE, F.DUPLICATE_ID}, False)

@@ -11,6 +11,8 @@ from common import slot_peer, with_fields
 from companion.core.safety.safeguard import FailureResponse, Response
 from companion.types.autopilot import AckSample, AttitudeTarget, AutopilotMode, ModeSample, SetMode
 from companion.types.flight import Flight, FlightPhase
+from companion.types.formation import FormationChange, FormationState
+from companion.types.values import ZERO3
 
 P = FlightPhase
 LAST = with_fields(slot_peer(3), phase=P.FORMATION, velocity_enu_m_s=(1.0, 2.0, 0.0))
@@ -102,7 +104,9 @@ def test_telemetry_of_any_kind_is_telemetry() -> None:
 def test_the_packet_after_a_failure_is_released_brakes_and_ages() -> None:
     response = failing()
     motion = replace(LAST.motion, acceleration_enu_m_s2=(1.0, 0.0, 0.0), state_age_s=0.01, sent_s=5.0)
-    response.publishes(replace(LAST, motion=motion))
+    assert LAST.change is None and LAST.rft is None
+    joins = FormationChange(1, ((0.0, 0.0, 0.0),), 0.0, 0.0)
+    response.publishes(replace(LAST, motion=motion, change=joins, rft=FormationState(ZERO3, ZERO3, ZERO3)))
     first, second = response.packet(5.02), response.packet(5.01)
     assert first and second
     assert first.phase is second.phase is P.RELEASE
@@ -113,6 +117,21 @@ def test_the_packet_after_a_failure_is_released_brakes_and_ages() -> None:
     assert (first.change, first.rft, first.motion.velocity_enu_m_s) == (None, None, (1.0, 2.0, 0.0))
     response.publishes(None)
     assert response.packet(6.0) is None
+
+
+def test_before_anything_was_heard_or_sent_there_is_nothing_to_end() -> None:
+    assert FailureResponse().step(1.0) == Response(None, (), ended=True) == Response()
+    response = FailureResponse()
+    response.receive([ModeSample(1.0, AutopilotMode.OFFBOARD, "")])
+    response.sent(STREAMS, None, 0.55)
+    assert response.step(1.0).target is None
+
+
+def test_telemetry_is_fresh_for_exactly_a_tenth_of_a_second() -> None:
+    response = FailureResponse()
+    response.receive([ModeSample(0.0, AutopilotMode.OFFBOARD, "")])
+    response.sent(STREAMS, HOVERS, 0.55)
+    assert [response.step(now_s).ended for now_s in (0.0, 0.1, 0.1001)] == [False, False, True]
 
 
 def test_without_a_packet_published_before_a_failure_none_is_published_after_it() -> None:

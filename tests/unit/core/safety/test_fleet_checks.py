@@ -19,6 +19,7 @@ from companion.types.peers import PeerPacket
 from companion.types.values import GRAVITY_M_S2
 from one_agent import FLEET, AgentFlight
 
+C = CommandName
 OWN = FlownSlot(SLOTS[2])
 RETURNS = ReturnCheck(2, separation_m=1.0, braking_m_s2=2.0, responds_s=0.45, goes_on_s=0.55)
 CHECKS = FleetChecks(2, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0, returns=RETURNS)
@@ -140,6 +141,12 @@ def test_slot_spacing_limits_by_reported_position_error(
             assert (bool(refusal), bool(warning)) == wanted, error_m
 
 
+def test_exactly_six_sigma_are_enough_and_exactly_three_are_a_warning() -> None:
+    assert judged(0.25, (1, 0.25)) == (None, None)
+    refusal, warning = judged(0.5, (1, 0.5))
+    assert refusal is None and "3.0 sigma" in warning.text
+
+
 def test_distant_slots_and_zero_errors_are_accepted() -> None:
     assert judged(0.05, (1, 0.05)) == (None, None)
     assert judged(0.0, (1, 0.0)) == (None, None)
@@ -169,6 +176,7 @@ def test_joining_is_refused_when_peers_fly_another_formation() -> None:
     other = replace(slot_peer(1, air=True), phase=FlightPhase.FORMATION, slot=FlownSlot(SLOTS[1], formation=3))
     refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(), OWN, [other], Role.FOLLOWER)
     assert code_of(refusal) is Code.FORMATION_DIFFERS
+    assert refusal.text.startswith("this vehicle has formation 0, vehicle 1 flies 3")
 
 
 def test_joining_is_refused_when_the_leader_has_another_formation() -> None:
@@ -177,6 +185,9 @@ def test_joining_is_refused_when_the_leader_has_another_formation() -> None:
     assert code_of(refusal) is Code.FORMATION_DIFFERS
     assert "leader 1 has 3" in refusal.text
     assert "leader 1 has 3" in CHECKS.judge(CommandName.FORM, vehicle(), OWN, [leader], Role.LEADER)[0].text
+    same = with_fields(leader, vehicle_id=4, slot=FlownSlot(SLOTS[3]))
+    several = [same, with_fields(leader, vehicle_id=3), leader]
+    assert "leader 1 has 3" in CHECKS.judge(CommandName.FORM, vehicle(), OWN, several, Role.FOLLOWER)[0].text
     second = with_fields(leader, vehicle_id=3)  # of several the smallest id's counts
     assert CHECKS.judge(CommandName.FORM, vehicle(), OWN, [second], Role.LEADER)[0] is None
     follower = replace(leader, role=Role.FOLLOWER)
@@ -184,6 +195,122 @@ def test_joining_is_refused_when_the_leader_has_another_formation() -> None:
     formed = replace(slot_peer(3, air=True), phase=FlightPhase.FORMATION)
     for others in ([follower], [on_ground], [leader, formed]):
         assert CHECKS.judge(CommandName.FORM, vehicle(), OWN, others, Role.FOLLOWER)[0] is None
+
+
+@pytest.mark.parametrize(
+    "name", sorted(set(CommandName) - {C.ARM, C.TAKEOFF, C.LAND, C.RETURN, C.FORM}, key=lambda name: name.value)
+)
+def test_other_commands_are_not_judged(name: CommandName) -> None:
+    beside = with_fields(slot_peer(1), position_enu_m=(0.1, 0.0, 9.0))
+    assert CHECKS.judge(name, vehicle(), OWN, [beside], Role.LEADER) == (None, None)
+
+
+def test_a_leader_that_lands_beside_another_is_warned_of_both() -> None:
+    follows = replace(slot_peer(3, air=True), phase=FlightPhase.FORMATION, role=Role.FOLLOWER)
+    beside = with_fields(follows, vehicle_id=4, position_enu_m=(0.6, 0.8 - 1e-9, 3.0))
+    refusal, warning = CHECKS.judge(CommandName.LAND, vehicle(3.0), OWN, [follows, beside], Role.LEADER)
+    assert refusal is None and warning is not None
+    assert warning == Notice(
+        Code.VEHICLE_TOO_CLOSE,
+        "separation: in the plane vehicle 4 is 1.00 m from vehicle 2; expected at least separation_m, 1 m;"
+        " no successor is in formation: without a command of their own, vehicles 3, 4 hold where they stop",
+    )
+    far = with_fields(beside, position_enu_m=(0.6, 0.8, 3.0))
+    _, warning = CHECKS.judge(CommandName.LAND, vehicle(3.0), OWN, [far], Role.LEADER)
+    assert code_of(warning) is Code.NO_SUCCESSOR
+    assert warning.text.endswith("without a command of its own, vehicle 4 holds where it stops")
+
+
+def test_the_nearest_counts_in_the_plane_from_wherever_the_vehicle_stands() -> None:
+    own = VehicleState(position_enu_m=(3.0, -4.0, 2.0))
+    near = [
+        with_fields(slot_peer(i), position_enu_m=at)
+        for i, at in ((1, (3.0, -3.5, 9.0)), (3, (3.4, -4.0, 0.0)), (4, (2.4, -3.3, 2.0)))
+    ]
+    found = CHECKS.lacks(own, near)[-1]
+    assert "vehicle 3 is 0.40 m from vehicle 2" in found.text
+
+
+@pytest.mark.parametrize(("own_m", "spread_m"), [(0.25, 1.0), (0.0, 1.25), (2.0, 1.75)])
+def test_the_heights_of_all_on_the_ground_count_the_own_one_too(own_m: float, spread_m: float) -> None:
+    peers = [
+        with_fields(slot_peer(1, air=air), vehicle_id=i, position_enu_m=(9.0 * i, 9.0, z_m))
+        for i, z_m, air in ((1, 0.5, False), (3, 1.25, False), (4, 7.0, True), (5, 0.25, False))
+    ]
+    found = CHECKS.lacks(vehicle(own_m), peers)
+    if spread_m <= 1.0:
+        assert found == ()
+        return
+    high, low = (3, 2) if own_m == 0.0 else (2, 5)
+    assert found == (
+        Notice(
+            Code.ALTITUDES_DIFFER,
+            f"altitude: on the ground vehicle {high} is {spread_m:.1f} m above vehicle {low}, more than ground_spread_m 1",
+        ),
+    )
+
+
+def test_all_that_keeps_a_vehicle_on_the_ground_is_named_at_once() -> None:
+    checks = dataclasses.replace(CHECKS, take_off_by_altitude=frozenset({AutopilotKind.PX4}))
+    own = VehicleState(interleaves=True, frame_known=True, autopilot=AutopilotKind.PX4)
+    beside = with_fields(slot_peer(3), position_enu_m=(0.1, 0.0, 5.0))
+    found = checks.lacks(own, [beside])
+    assert [notice.code for notice in found] == [
+        *(Code.AUTOPILOT_ID_SHARED, Code.ALTITUDE_UNKNOWN, Code.ALTITUDES_DIFFER, Code.VEHICLE_TOO_CLOSE),
+    ]
+    refusal, _ = checks.judge(CommandName.ARM, own, OWN, [beside], Role.FOLLOWER)
+    assert refusal == Notice(found[0].code, "; ".join(notice.text for notice in found))
+    for altitude in ({"altitude_amsl_m": 0.0}, {"frame_known": False}, {"autopilot": AutopilotKind.ARDUPILOT}):
+        assert Code.ALTITUDE_UNKNOWN not in [notice.code for notice in checks.lacks(replace(own, **altitude), [])]
+
+
+def test_what_it_may_take_off_with_is_named_in_order() -> None:
+    slow = Notice(Code.BRAKES_SLOWLY, "slow")
+    checks = dataclasses.replace(CHECKS, slow_to_brake=slow)
+    own = VehicleState(home_enu_m=(0.6, 0.8))
+    shares = with_fields(slot_peer(3), home_enu_m=(0.0, 0.8))
+    assert [notice.code for notice in checks.warnings(own, [shares])] == [
+        *(Code.HOME_ELSEWHERE, Code.HOME_SHARED, Code.BRAKES_SLOWLY),
+    ]
+    assert "vehicles 2 and 3 have homes 0.60 m apart" in checks.warnings(own, [shares])[1].text
+    assert checks.warnings(VehicleState(), [shares]) == (slow,)
+    assert CHECKS.warnings(replace(own, home_enu_m=(0.6, 0.79)), [with_fields(shares, home_enu_m=(1.6, 0.79))]) == ()
+
+
+def test_errors_count_along_the_line_between_the_slots() -> None:
+    """Slots at (3, 0, 4): 0.6 of the horizontal error of one axis, 0.8 of the vertical one, of both vehicles."""
+    own, other = PositionError(1.0, 0.3), PositionError(1.0, 0.4)
+    above = replace(slot_peer(3, error=other, air=True), slot=FlownSlot((4.0, 2.0, 7.0)))
+    slot = FlownSlot((1.0, 2.0, 3.0))
+    _, warning = CHECKS.judge(CommandName.FORM, vehicle(error=own), slot, [above], Role.FOLLOWER)
+    sigma_m = ((0.6 * 1.0) ** 2 + (0.8 * 0.5) ** 2) ** 0.5
+    assert warning is None and 5.0 / sigma_m > 6.0
+    tenfold = PositionError(1.3, 0.65)
+    above = with_fields(above, position_error=PositionError(1.3, 0.0))
+    _, warning = CHECKS.judge(CommandName.FORM, vehicle(error=tenfold), slot, [above], Role.FOLLOWER)
+    sigma_m = ((0.6 * 1.3) ** 2 + (0.8 * 0.65) ** 2) ** 0.5
+    assert warning is not None
+    assert (
+        f"5.0 m apart, {5.0 / sigma_m:.1f} sigma" in warning.text and f"6 sigma, {6.0 * sigma_m:.1f} m" in warning.text
+    )
+
+
+def test_slots_at_one_place_and_errors_of_nothing_are_no_division_by_zero() -> None:
+    exact = PositionError(0.0, 0.0)
+    same = replace(slot_peer(3, error=exact, air=True), slot=OWN)
+    refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(error=exact), OWN, [same], Role.FOLLOWER)
+    assert refusal is not None and "0.0 m apart, 0.0 sigma" in refusal.text
+    known = replace(same, position_error=PositionError(1.0, 0.5))
+    refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(error=exact), OWN, [known], Role.FOLLOWER)
+    assert refusal is not None and refusal.text.endswith("expected at least 3 sigma, 2.1 m")  # level, one axis of two
+
+
+def test_the_nearest_slots_are_warned_of_and_who_reports_no_error_is_named_besides() -> None:
+    _, warning = judged(0.3, (1, 0.3), (3, None))
+    assert warning is not None
+    assert warning.code is Code.POSITION_ERROR_LARGE
+    assert warning.text.startswith("the slots of vehicles 2 and 1 are 1.5 m apart")
+    assert warning.text.endswith("; no error reported by the estimator of vehicle 3")
 
 
 # ---------------------------------------------------------------- what it can brake from
@@ -212,6 +339,13 @@ def test_a_vehicle_with_little_tilt_says_from_which_speed_it_can_brake() -> None
 )
 def test_little_tilt_needs_slots_that_are_far_apart(margin_m: float, tilt_deg: float, warned: bool) -> None:
     assert (braked(margin_m, tilt_deg) is not None) is warned
+
+
+def test_it_brakes_for_the_nearest_slot_from_a_metre_a_second_on() -> None:
+    slots = {1: (9.0, 0.0, 0.0), 2: (0.0, 0.0, 0.0), 3: (0.0, 2.0, 0.0), 4: (0.0, 0.0, -3.0)}
+    assert slow_to_brake(2, slots, 1.0, 0.5, 3.0) is None  # within 1 m by 0.5 m/s^2 from 1 m/s
+    found = slow_to_brake(2, slots, 1.0, 0.49, 3.0)
+    assert found is not None and "that of vehicle 3 are" in found.text
 
 
 def test_slots_at_the_separation_leave_no_speed_and_one_vehicle_needs_none() -> None:

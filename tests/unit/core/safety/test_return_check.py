@@ -12,7 +12,7 @@ from common import SLOTS, code_of, outcome, slot_peer, with_fields
 from companion.core.command.phase import PhaseMachine
 from companion.core.consensus.peers import PeerState
 from companion.core.safety.fleet_checks import FleetChecks
-from companion.core.safety.return_check import Path, ReturnCheck, apart
+from companion.core.safety.return_check import Path, ReturnCheck, apart, home_elsewhere, home_shared
 from companion.geometry.frames import enu_from_geodetic
 from companion.types.autopilot import (
     AckSample,
@@ -51,6 +51,12 @@ RETURNS = ReturnCheck(2, separation_m=1.0, braking_m_s2=2.0, responds_s=0.45, go
         (((0.0, 0.0), (0.0, 0.0)), ((3.0, 4.0), (3.0, 4.0)), 5.0),  # both hover above home
         (((0.0, 0.0), (10.0, 0.0)), ((5.0, 3.0), (5.0, 3.0)), 3.0),  # one hovers beside the path
         (((0.0, 0.0), (10.0, 10.0)), ((6.0, 0.0), (6.0, 5.0)), 0.5**0.5),  # ends before the other path
+        (((0.0, 0.0), (4.0, 0.0)), ((4.5, -2.0), (4.5, 2.0)), 0.5),  # its line is crossed beyond its end
+        (((0.0, 0.0), (4.0, 0.0)), ((1.0, 0.01), (3.0, 0.5)), 0.01),  # nearly touches
+        (((0.5, 0.5), (0.5, 0.5)), ((1.5, 0.5), (0.6, 0.5)), 0.1),
+        (((2.0, 0.1), (2.0, 0.3)), ((0.0, 0.0), (4.0, 0.0)), 0.1),  # ends just before it
+        (((0.0, 0.0), (10.0, 0.0)), ((5.0, 3.0), (5.0, 0.0)), 0.0),  # an end touches in the middle
+        (((0.0, 0.0), (0.8, 0.0)), ((0.4, 2.0), (0.4, 2.0)), 2.0),  # a short path
     ],
 )
 def test_smallest_distance_of_two_paths(a: Path, b: Path, apart_m: float) -> None:
@@ -201,6 +207,107 @@ def test_a_leader_without_successors_is_warned_before_it_leaves(name: CommandNam
     assert checks.judge(name, far, slot, [with_fields(follower, role=Role.LEADER)], Role.LEADER) == (None, None)
     assert checks.judge(name, far, slot, [follower], Role.FOLLOWER) == (None, None)
     assert checks.judge(name, far, slot, [with_fields(follower, phase=P.HOLD)], Role.LEADER) == (None, None)
+
+
+def test_the_peer_that_comes_nearest_below_what_is_expected_of_it_is_named() -> None:
+    """One that already returns at 1.7 m, of whose noise 1.8 m are expected, or one in hold at 0.8 m."""
+    noisy = PositionError(0.6, 1.0)
+    returns = with_fields(peer_in(P.RETURN, (-1.7, 10.0, 5.0)), home_enu_m=(-1.7, 0.0), position_error=noisy)
+    holds = with_fields(peer_in(P.HOLD, (0.8, 5.0, 5.0)), vehicle_id=7)
+    found = refused(replace(HOMEWARD, position_error=noisy), returns, holds)
+    assert found == Notice(
+        Code.RETURN_PATH_TOO_CLOSE,
+        "separation: on its straight path home vehicle 2 comes within 0.80 m of vehicle 7 or of its path home; expected at"
+        " least separation_m, 1 m; land instead",
+    )
+
+
+def test_without_an_error_of_one_of_both_no_noise_is_counted() -> None:
+    noisy = PositionError(0.6, 1.0)
+    on_its_way = with_fields(peer_in(P.RETURN, (1.5, 10.0, 5.0)), home_enu_m=(1.5, 0.0))
+    assert refused(replace(HOMEWARD, position_error=noisy), on_its_way) is None
+    assert refused(HOMEWARD, with_fields(on_its_way, position_error=noisy)) is None
+
+
+def test_one_that_returns_stops_at_its_home_whatever_the_direction() -> None:
+    """Its stop takes 5.8 m, through the path of the other; to its home it is 3 m, obliquely."""
+    for north in (1.0, -1.0):
+        speed = (4.0 * 0.6, 4.0 * 0.8 * north, 0.0)
+        at = (-4.0, 5.0 - 2.4 * north, 5.0)
+        home = (at[0] + 3.0 * 0.6, at[1] + 3.0 * 0.8 * north)
+        near_home = with_fields(peer_in(P.RETURN, at), velocity_enu_m_s=speed, home_enu_m=home)
+        assert refused(HOMEWARD, near_home) is None
+        assert code_of(refused(HOMEWARD, with_fields(near_home, phase=P.FORMATION))) is Code.RETURN_PATH_TOO_CLOSE
+        beside = with_fields(near_home, home_enu_m=(at[0] + 3.0 * 0.8, at[1] - 3.0 * 0.6 * north))  # not on its way
+        assert code_of(refused(HOMEWARD, beside)) is Code.RETURN_PATH_TOO_CLOSE
+
+
+def test_exactly_the_separation_is_enough() -> None:
+    beside = peer_in(P.LAND, (1.0, 5.0, 5.0))
+    assert refused(HOMEWARD, beside) is None
+    assert code_of(refused(HOMEWARD, with_fields(beside, position_enu_m=(0.9995, 5.0, 5.0)))) is not None
+    assert (
+        refusal((0.0, 6.0, 5.0), (0.0, 0.0, 0.0), peer_in(P.HOLD, (30.0, 0.0, 5.0)), peer_home=(1.0, 0.0, 0.0)) is None
+    )
+
+
+def test_of_several_homes_the_nearest_is_named_and_an_unknown_one_does_not_count() -> None:
+    homes = {3: (0.9, 0.0), 5: (0.0, 0.4), 6: None, 8: (-0.7, 0.0)}
+    peers = [with_fields(slot_peer(1), vehicle_id=i, home_enu_m=home) for i, home in homes.items()]
+    found = home_shared(2, 1.0, (0.0, 0.0), peers)
+    assert found is not None and "vehicles 2 and 5 have homes 0.40 m apart" in found.text
+    assert home_shared(2, 0.4, (0.0, 0.0), peers) is None
+    assert home_shared(2, 1.0, (0.0, 0.0), []) is None
+
+
+def test_a_home_that_is_not_where_the_vehicle_stands_is_named_with_its_place() -> None:
+    vehicle = VehicleState(position_enu_m=(1.0, 2.0, 3.0), home_enu_m=(4.0, -2.0))
+    assert home_elsewhere(5.0, vehicle) == Notice(
+        Code.HOME_ELSEWHERE, "home: the autopilot's is 5.0 m from the vehicle, at 4.0, -2.0 m; `return` ends there"
+    )
+    assert home_elsewhere(5.001, vehicle) is None
+    assert home_elsewhere(5.0, VehicleState()) is None
+
+
+def test_a_stop_lasts_the_response_and_the_braking_from_the_speed_on() -> None:
+    """From 4 m/s along (0.6, 0.8): 0.45 s and 1 s, 5.8 m. The paths begin there, and at the present place."""
+    vehicle = replace(HOMEWARD, velocity_enu_m_s=(2.4, 3.2, 9.0), home_enu_m=(30.0, 10.0))
+    stop_m = (0.0 + 5.8 * 0.6, 10.0 + 5.8 * 0.8)
+    for beyond_m, is_free in ((0.99, False), (1.01, True)):
+        beyond = peer_in(
+            P.LAND, (stop_m[0] - 0.1718 * beyond_m, stop_m[1] + 0.9851 * beyond_m, 5.0)
+        )  # across the path home
+        assert (refused(vehicle, beyond) is None) is is_free
+    for behind_m, is_free in ((0.99, False), (1.01, True)):
+        assert (refused(vehicle, peer_in(P.LAND, (-behind_m, 10.0, 5.0))) is None) is is_free
+
+
+def test_a_leader_alone_keeps_off_where_a_follower_stops_that_flies_on_for_a_while() -> None:
+    """At (1.8, 2.4) m/s a stop takes 0.45 s and 0.75 s, 3.6 m; 0.55 s later it is 1.65 m farther on."""
+    vehicle = replace(HOMEWARD, position_enu_m=(0.0, -5.0, 5.0), home_enu_m=(0.0, 20.0))
+    for apart_m, is_free in ((0.99, False), (1.01, True)):
+        x = -apart_m - 0.6 * (3.6 + 1.65)
+        follower = with_fields(peer_in(P.FORMATION, (x, 0.0, 5.0)), velocity_enu_m_s=(1.8, 2.4, 0.0))
+        assert refused(vehicle, follower) is None
+        assert (refused(vehicle, follower, leads_alone=True) is None) is is_free
+        holds = with_fields(follower, phase=P.HOLD)
+        assert refused(vehicle, holds, leads_alone=True) is None
+
+
+def test_a_peer_is_where_it_has_flown_to_since_it_was_measured() -> None:
+    """Until the newest of the own positions; one that was measured later stays where it was. Its stop takes 1.9 m."""
+    comes = with_fields(peer_in(P.LAND, (-3.0, 5.0, 5.0)), velocity_enu_m_s=(2.0, 0.0, 0.0))
+    parts = with_fields(peer_in(P.LAND, (-1.01, 5.0, 5.0)), velocity_enu_m_s=(-2.0, 0.0, 0.0))
+    for packet, own_s, measured_s, is_free in (
+        (comes, 0.0, 0.0, True),
+        (comes, 0.04, 0.0, True),
+        (comes, 0.06, 0.0, False),
+        (comes, 0.06, 0.5, True),
+        (parts, 0.0, 0.0, True),
+        (parts, 0.0, 0.5, True),
+    ):
+        own, peers = replace(HOMEWARD, position_time_s=own_s), [PeerState(packet, 0.5, 0.0, measured_s)]
+        assert (RETURNS.refusal(own, peers, leads_alone=False) is None) is is_free
 
 
 # ---------------------------------------------------------------- phases
