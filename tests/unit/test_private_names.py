@@ -10,6 +10,7 @@ import pytest
 from common import ROOT
 
 OF_OTHERS = {  # libraries have no public name for these
+    "_exit": "os: the end of a forked process",
     "_actions": "argparse: the options of a parser",
     "_SubParsersAction": "argparse: its subcommands",
     "_tmp_path_factory": "pytest: where the tests of a session write",

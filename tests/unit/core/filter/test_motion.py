@@ -115,16 +115,17 @@ def test_the_way_grows_smoothly_within_four_tenths_of_a_second(towards: float, p
         assert grown[2][axis] == pytest.approx(share * whole[2][axis])
 
 
+@pytest.mark.parametrize("age_s", [0.7, 3.0])
 @pytest.mark.parametrize("weight", [1.0, 0.5])
-def test_between_its_ends_the_point_follows_the_own_motion_along_the_way(weight: float) -> None:
+def test_between_its_ends_the_point_follows_the_own_motion_along_the_way(weight: float, age_s: float) -> None:
     """In the metric of the separation: heights have a weight."""
-    braked, coasted = end_of_way(-1.0, 3.0, 0.2), end_of_way(1.0, 3.0, 0.2)
+    braked, coasted = end_of_way(-1.0, age_s, 0.2), end_of_way(1.0, age_s, 0.2)
     along = [b - a for a, b in zip(braked[0], coasted[0], strict=True)]
     for share in (0.25, 0.6):
         on_way = [a + share * d for a, d in zip(braked[0], along, strict=True)]
         aside = (-along[1], along[0], 0.0)
         own = Ahead(tuple(p + a for p, a in zip(on_way, aside, strict=True)), (0.7, 0.4, -0.9))
-        position, velocity, acceleration = nearest_on_way(own, LAST, 3.0, 0.2, SILENCE, weight)
+        position, velocity, acceleration = nearest_on_way(own, LAST, age_s, 0.2, SILENCE, weight)
         if weight == 1.0 or along[2] == 0.0:
             assert position == pytest.approx(on_way)
         weighted = (along[0], along[1], along[2] * weight * weight)
@@ -132,7 +133,6 @@ def test_between_its_ends_the_point_follows_the_own_motion_along_the_way(weight:
             assert sum(w * (a - b) for w, a, b in zip(weighted, vector, target, strict=True)) == pytest.approx(
                 0.0, abs=1e-9
             )
-        assert acceleration[2] == pytest.approx(0.0)
         left = [(p - a) / d for p, a, d in zip(position, braked[0], along, strict=True) if abs(d) > 1e-6]
         assert max(left) == pytest.approx(min(left))
         at = left[0]
@@ -238,11 +238,11 @@ def test_how_a_vehicle_may_fly_that_its_last_packet_does_not_tell(
 def test_the_command_of_a_fresh_peer_acts_by_the_lag_and_a_pilots_at_once() -> None:
     for phase, fresh, lags in ((P.FORMATION, True, True), (P.FORMATION, False, False), (P.OBSERVE, True, False)):
         motions = Motions(2, SILENCE)
-        near(heard(7, (2.0, 2.0, 3.0), phase, acceleration_enu_m_s2=(1.0, -1.0, 2.0)), motions=motions, now_s=10.0)
+        near(heard(7, (2.0, 2.0, 3.0), phase, acceleration_enu_m_s2=(1.0, -1.5, 2.0)), motions=motions, now_s=10.0)
         turned = heard(7, (2.0, 2.0, 3.0), phase, acceleration_enu_m_s2=(3.0, 0.0, -2.0))
         (found,) = near(turned, motions=motions, now_s=10.05, fresh=fresh)
         share = 0.05 / 0.25 if lags else 1.0
-        assert found.last[2] == pytest.approx((1.0 + 2.0 * share, -1.0 + share, 2.0 - 4.0 * share))
+        assert found.last[2] == pytest.approx((1.0 + 2.0 * share, -1.5 + 1.5 * share, 2.0 - 4.0 * share))
         near(motions=motions, now_s=10.1)  # it is far away for a tick
         (found,) = near(turned, motions=motions, now_s=10.12)
         assert found.last[2] == (3.0, 0.0, -2.0)
@@ -267,6 +267,17 @@ def test_a_peer_counts_within_eight_metres_on_each_axis_and_as_far_as_both_fly_i
     aged = heard(7, (1.0 + 22.8, 2.0, 3.0), measured_s=9.8, velocity_enu_m_s=(1.0, 1.0, 1.0))
     assert near(aged)  # 0.2 s of 3 m/s more
     assert not near(heard(7, (1.0 + 22.8, 2.0, 3.0), velocity_enu_m_s=(1.0, 1.0, 1.0)))
+
+
+def test_one_that_is_far_away_or_forgotten_hides_no_other() -> None:
+    far, forgotten = heard(3, (400.0, 2.0, 3.0)), heard(4, (2.0, 2.0, 3.0), measured_s=-9999.0)
+    assert [other.key for other in near(far, forgotten, heard(7, (2.0, 2.0, 3.0)))] == [7]
+    for axis in range(3):
+        own, at = [1.0, 2.0, 3.0], [1.0, 2.0, 3.0]
+        own[axis], at[axis] = 20.0, -20.0
+        opposite = heard(7, tuple(at), velocity_enu_m_s=ZERO3)
+        vehicle = replace(OWN, position_enu_m=tuple(own))
+        assert Motions(2, SILENCE).peers(10.0, vehicle, True, {7: opposite}, {7: opposite}) == []
 
 
 def test_one_that_is_not_fresh_may_have_kept_its_attitude_for_a_second_and_land() -> None:
