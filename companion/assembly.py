@@ -431,4 +431,7 @@ def output_limits_of(fleet: FleetConfig) -> OutputLimits:
         max_thrust_ratio=envelope.max_thrust_ratio,
         max_thrust_rate_1_s=envelope.max_thrust_rate_1_s,
         fence=fleet.airspace.fence,
+        max_speed_m_s=envelope.max_speed_m_s,
+        max_climb_m_s=envelope.max_climb_m_s,
+        max_descent_m_s=envelope.max_descent_m_s,
     )

@@ -61,7 +61,7 @@ class Network:
         self.distant: dict[int, frozenset[int]] = {i: frozenset() for i in ids}  # of each receiver
         self._next_distant: list[tuple[float, int, frozenset[int]]] = []  # from when on, receiver, its distant peers
         self._subscribed_after_s = SUBSCRIBED_AFTER_S + links.peer_delay_s + links.peer_jitter_s
-        self._liars = Liars(links.lies) if links.lies else None
+        self.liars = Liars(links.lies) if links.lies else None
         self._links = links  # those of a path may be replaced in flight
         self._is_undisturbed = not (links.peer_loss or links.peer_jitter_s or links.peer_duplicates or links.partitions)
         self._sent = 0
@@ -74,8 +74,8 @@ class Network:
         self._sent += 1
         sender_id = packet.sender.vehicle_id
         proven = True
-        if self._liars is not None:
-            true, packet = packet, self._liars.stated(packet, now_s)
+        if self.liars is not None:
+            true, packet = packet, self.liars.stated(packet, now_s)
             proven = _is_proven(packet, true)
         at_low_rate = (packet.sender.sequence + sender_id) % LOW_RATE_TICKS == 0
         in_transit, distant = self._in_transit, self.distant

@@ -1,4 +1,4 @@
-"""Whether the positions and velocities that a vehicle sends agree with each other.
+"""Whether the positions and velocities that a vehicle sends agree with each other, and whether it is believed at all.
 
 The problem. Each packet alone may be plausible, and all of them together not: true positions with a velocity of 12 m/s to and
 fro, or a position that jumps by 3 m each second. The law and the separation filter extrapolate by these numbers, so either one
@@ -12,6 +12,9 @@ contradicts itself; one second in which it agrees makes good for RECOVERS second
 
 Honest vehicles stay far below: the velocity of a stock EKF2 is off by 0.4 m/s, agents smooth the jumps of their own position
 (`estimation/corrections.py`), and steps are taken over the times of the positions, so delays and lost packets do not count.
+
+What one packet says may be refused by itself: a follower that leads, a sequence that does not rise, a leader without a
+signature. One such packet is a defect of the network; of one that sends little else the operator is told.
 """
 
 from __future__ import annotations
@@ -91,3 +94,35 @@ def coherent(
     return Coherence(
         measured_s, position_enu_m, velocity_enu_m_s, (mx, my, mz), (ox, oy, oz), off_m_s, doubt_s, contradicts
     )
+
+
+# A new leader's signature arrives and is verified sooner; followers that hear no leader leave the formation later.
+LASTING_S, MOST_S = IN_DOUBT_S, 1.0
+
+
+class Disbelief:
+    """For how long each peer has sent what is not believed, less for how long it was. `sums` is empty while all are."""
+
+    def __init__(self) -> None:
+        self.sums: dict[int, tuple[float, float]] = {}  # and when its last packet came
+
+    def more(self, vehicle_id: int, received_s: float) -> None:
+        """A packet that is not believed."""
+        sum_s, last_s = self.sums.get(vehicle_id, (0.0, received_s))
+        self.sums[vehicle_id] = (min(sum_s + min(received_s - last_s, COUNTS_S), MOST_S), received_s)
+
+    def less(self, vehicle_id: int, received_s: float) -> None:
+        """A packet that is."""
+        before = self.sums.get(vehicle_id)
+        if before is None:
+            return
+        sum_s = before[0] - min(received_s - before[1], COUNTS_S)
+        if sum_s > 0.0:
+            self.sums[vehicle_id] = (sum_s, received_s)
+        else:
+            del self.sums[vehicle_id]
+
+    def lasting(self, now_s: float, max_age_s: float) -> tuple[int, ...]:
+        """The peers that were not believed for LASTING_S, and still send."""
+        sums = self.sums.items()
+        return tuple([i for i, (sum_s, last_s) in sums if sum_s > LASTING_S and now_s - last_s <= max_age_s])

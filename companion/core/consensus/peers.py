@@ -14,7 +14,7 @@ from math import dist, hypot, inf, isfinite, pi
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.core.consensus.coherence import Coherence, coherent
+from companion.core.consensus.coherence import Coherence, Disbelief, coherent
 from companion.core.message_order import Disorder, Stream, following
 from companion.geometry.vectors import extrapolated, shortened
 from companion.laws import Neighbour
@@ -130,6 +130,11 @@ def refusal_of_motion(packet: PeerPacket, limits: FleetLimits, known: FlownSlot 
     return None
 
 
+def _is_older(packet: PeerPacket, before: PeerState | None) -> bool:
+    """Whether it was sent before the last one that was used: the network has held it back, or sent it twice."""
+    return before is not None and packet.motion.sent_s <= before.packet.motion.sent_s
+
+
 def _squared(vector: Vector3) -> float:
     x, y, z = vector
     return x * x + y * y + z * z
@@ -167,6 +172,8 @@ def _is_plausible_change(change: FormationChange, fleet: KnownFleet) -> bool:
 
 
 DUPLICATES = (Code.PEER_OWN_ID, Code.PEER_ID_TWICE)
+# Refused by what a configuration, a second agent or the network does; all else is what an agent says of itself.
+OF_OTHER_CAUSE = (*DUPLICATES, Code.PEER_NOT_IN_FLEET, Code.PEER_OTHER_FLEET_FILE, Code.PEER_LATE)
 CODES = {
     Disorder.TWO_SENDERS: Code.PEER_ID_TWICE,
     Disorder.OUT_OF_ORDER: Code.PEER_OUT_OF_ORDER,
@@ -272,6 +279,7 @@ class PeerTable:
         self.low_rate_s: dict[int, float] = {}  # when each of those was last distant
         self._coherence: dict[int, Coherence] = {}
         self.known: dict[int, PeerState] = {}  # the newest state of each peer, of any age
+        self.disbelief = Disbelief()
         self.rejected: Counter[str] = Counter()
         self.duplicate_id_s = -inf  # when a packet of a second agent with a known id last came
 
@@ -296,8 +304,20 @@ class PeerTable:
                 if code in DUPLICATES:
                     self.duplicate_id_s = received.received_s
                 self._count(code, packet.sender.vehicle_id)
-            elif packet.lost:
+                if code not in OF_OTHER_CAUSE and not (code is Code.PEER_OUT_OF_ORDER and _is_older(packet, before)):
+                    self._disbelieve(packet, received.received_s)
+                continue
+            beacon = packet.leader.beacon
+            if not received.proven or (beacon is not None and beacon.epoch > epochs_up_to):
+                self._disbelieve(packet, received.received_s)
+            elif self.disbelief.sums:
+                self.disbelief.less(packet.sender.vehicle_id, received.received_s)
+            if packet.lost:
                 self._hear_of(packet.lost, received.received_s)
+
+    def _disbelieve(self, packet: PeerPacket, received_s: float) -> None:
+        if packet.armed or packet.phase in STREAMING:
+            self.disbelief.more(packet.sender.vehicle_id, received_s)
 
     def _take(self, received: ReceivedPeerPacket, before: PeerState | None, epochs_up_to: int) -> Code | None:
         """The packet as the newest state of its vehicle, or the refusal by the packets before: `before` has the last one.
@@ -419,6 +439,10 @@ class PeerTable:
     def in_doubt(self, now_s: float) -> tuple[int, ...]:
         """The peers that contradict themselves, while they send."""
         return tuple([i for i, p in self.known.items() if p.contradicts and now_s - p.measured_s <= self._max_age_s])
+
+    def refused(self, now_s: float) -> tuple[int, ...]:
+        """The peers that have sent for a while what is refused, or not believed."""
+        return self.disbelief.lasting(now_s, self._max_age_s)
 
     def _age_limit_s(self, vehicle_id: int) -> float:
         return max(self._max_age_s, DISTANT_MAX_AGE_S) if vehicle_id in self.low_rate_s else self._max_age_s

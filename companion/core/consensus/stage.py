@@ -101,6 +101,7 @@ class PeerSets(Struct, frozen=True, gc=False):
     duplicate_id_s: float = -inf  # when a packet of a second agent with a known id last came
     lost: tuple[LostVehicle, ...] = ()  # those that fell silent, and may still be in the air
     in_doubt: tuple[int, ...] = ()  # those that send positions and velocities that contradict each other
+    refused: tuple[int, ...] = ()  # those that for a while have sent nothing but what is refused, or not believed
     rejected: Mapping[str, int] = {}
     until_s: float = -inf  # until when they remain these, without a further packet
 
@@ -250,6 +251,7 @@ class ConsensusStage:
             duplicate_id_s=table.duplicate_id_s,
             lost=table.lost(now_s) if len(present) < len(table.known) else (),
             in_doubt=table.in_doubt(now_s) if len(present) < len(table.known) else (),
+            refused=table.refused(now_s) if table.disbelief.sums else (),
             rejected=table.rejected,
             until_s=table.until_s(fresh, present),
         )

@@ -108,7 +108,7 @@ FAILSAFES: tuple[Failsafe, ...] = (
     Failsafe(C.DUPLICATE_ID, "at once", (WARN,), "{} s without such a packet", stays_s=3.0),
     Failsafe(C.SEPARATION_VIOLATED, "at once", (WARN,), "a distance of `separation_m`"),
     Failsafe(C.NOT_SHAKEN_OFF, "pressed for 2 s, or for 5 m", (WARN,), "some seconds without pressure"),
-    Failsafe(C.PEER_IN_DOUBT, "off for 0.45 s in all", (WARN,), "states that agree for about 2 s"),
+    Failsafe(C.PEER_IN_DOUBT, "off or refused for 0.45 s in all", (WARN,), "states that agree for about 2 s"),
     Failsafe(C.OUTSIDE_FENCE, "at once", (HOLD,), "a position inside the fence"),
     Failsafe(C.FRAME_CONTRADICTED, "at once", (HOLD,), "an origin and a global position that agree"),
     # A new origin explains a jump; it comes within ORIGIN_WITHIN_S.
@@ -230,13 +230,19 @@ def flags_notice(flags: Collection[HealthFlag]) -> Notice:
     return Notice(Code(ordered[0]), ", ".join([FLAG_TEXTS[flag] for flag in ordered]))
 
 
+def doubted(consensus: Consensus) -> tuple[int, ...]:
+    """The peers that say what cannot be true: in themselves, or by what is known of them."""
+    peers = consensus.peers
+    return tuple(sorted({*peers.in_doubt, *peers.refused})) if peers.refused else peers.in_doubt
+
+
 def named_notice(flag: HealthFlag, vehicle: VehicleState, consensus: Consensus, separation: SeparationReport) -> Notice:
     """The notice of one flag that begins, with what it is about: names of vehicles, or what is wrong with a pose."""
     notice, names = flags_notice([flag]), ""
     if flag is HealthFlag.NOT_SHAKEN_OFF:
         names = ", ".join(separation.unshaken)
     elif flag is HealthFlag.PEER_IN_DOUBT:
-        names = ", ".join(map(str, consensus.peers.in_doubt))
+        names = ", ".join(map(str, doubted(consensus)))
     elif flag is HealthFlag.POSE_REFUSED:
         names = vehicle.pose_fault
     return Notice(notice.code, f"{notice.text}: {names}") if names else notice
@@ -329,7 +335,7 @@ def fleet_flags(
         flags.add(F.DUPLICATE_ID)
     if separation.violated:
         flags.add(F.SEPARATION_VIOLATED)
-    if consensus.peers.in_doubt:
+    if consensus.peers.in_doubt or consensus.peers.refused:
         flags.add(F.PEER_IN_DOUBT)
     if separation.unshaken:
         flags.add(F.NOT_SHAKEN_OFF)

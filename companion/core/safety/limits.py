@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import hypot, isfinite, pi
+from math import hypot, inf, isfinite, pi
 
 from companion.geometry.airspace import Fence
 from companion.geometry.frames import wrap_pi
@@ -15,7 +15,7 @@ LONGEST_SLEW_S = 0.1  # a longer gap between setpoints allows no larger change: 
 
 @dataclass(frozen=True, slots=True)
 class OutputLimits:
-    """Limits of attitude setpoints and the fence. Thrust as ratio of hover thrust."""
+    """Limits of attitude setpoints and of speeds, and the fence. Thrust as ratio of hover thrust."""
 
     max_tilt_rad: float
     max_tilt_rate_rad_s: float
@@ -23,6 +23,9 @@ class OutputLimits:
     max_thrust_ratio: float
     max_thrust_rate_1_s: float
     fence: Fence
+    max_speed_m_s: float = inf  # horizontal
+    max_climb_m_s: float = inf
+    max_descent_m_s: float = inf
 
 
 class OutputLimiter:

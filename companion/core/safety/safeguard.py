@@ -17,10 +17,12 @@ from companion.core.safety.failsafe import (
     BY_CONDITION,
     MOTION_IN_DOUBT,
     NONE_ACTIVE,
+    WARN_PERIOD_S,
     ActiveFailsafe,
     FailsafeSettings,
     FailsafeWatch,
     HealthLimits,
+    doubted,
     flags_notice,
     fleet_flags,
     health_flags,
@@ -90,6 +92,7 @@ class SafeguardStage:
         self._stopping_s: float | None = None  # since when this agent is to stop
         self._late_s = -inf  # when a tick was last late
         self._slow_s = -inf  # when the law last took too long
+        self._doubted_s: dict[int, float] = {}  # when each peer was last in doubt
 
     def step(
         self,
@@ -125,8 +128,19 @@ class SafeguardStage:
             requests += self._carry_out(vehicle, flight, consensus, active)
         if not flags and not requests and active is NONE_ACTIVE:
             return SAFE
-        events = tuple([named_notice(flag, vehicle, consensus, separation) for flag in active.warnings])
-        return Safety(frozenset(flags), active.action, tuple(requests), events)
+        events = [named_notice(flag, vehicle, consensus, separation) for flag in active.warnings]
+        if HealthFlag.PEER_IN_DOUBT in flags and flight.phase in STREAMING:
+            events += self._name_others(now_s, consensus, HealthFlag.PEER_IN_DOUBT in active.warnings)
+        return Safety(frozenset(flags), active.action, tuple(requests), tuple(events))
+
+    def _name_others(self, now_s: float, consensus: Consensus, named: bool) -> list[Notice]:
+        """A second one has a name, too, although the flag was raised already. `named`: all of now have been."""
+        new = [i for i in doubted(consensus) if now_s - self._doubted_s.get(i, -inf) > WARN_PERIOD_S]
+        self._doubted_s |= dict.fromkeys(doubted(consensus), now_s)
+        if named or not new:
+            return []
+        notice = flags_notice([HealthFlag.PEER_IN_DOUBT])
+        return [Notice(notice.code, f"{notice.text}: {', '.join(map(str, new))}")]
 
     def _stop(self, now_s: float, vehicle: VehicleState, flight: Flight) -> list[PhaseRequest]:
         """Hand over, and give up where the autopilot does not take over in time, or sends nothing any more."""

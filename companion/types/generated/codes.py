@@ -299,7 +299,7 @@ TEXTS: dict[str, str] = {
     "DUPLICATE_ID": "two agents use the same vehicle id",
     "SEPARATION_VIOLATED": "another vehicle is nearer than separation_m",
     "NOT_SHAKEN_OFF": "no evasion shakes off another vehicle",
-    "PEER_IN_DOUBT": "position and velocity of another vehicle contradict each other",
+    "PEER_IN_DOUBT": "what another vehicle says of itself cannot be true",
     "ESTIMATOR_BAD": "the autopilot's estimator reports a bad position",
     "POSITION_UNAIDED": "the autopilot dead-reckons: GPS or vision is lost",
     "POSE_LOST": "no good motion-capture pose",

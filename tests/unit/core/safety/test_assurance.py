@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from math import hypot, inf, nan, radians, tan
 
 import pytest
 from msgspec.structs import replace
 
 from companion.core.consensus.peers import PeerState
-from companion.core.safety.assurance import IN_A_ROW, SHARE, CommandMonitor
+from companion.core.safety.assurance import FASTER_M_S, IN_A_ROW, SHARE, CommandMonitor
 from companion.core.safety.limits import OutputLimits
 from companion.geometry.airspace import Airspace, Cylinder, Fence
 from companion.types.autopilot import AttitudeTarget, VehicleState
@@ -339,3 +340,38 @@ def test_a_position_of_a_tenth_of_a_second_is_new_enough() -> None:
     own = replace(vehicle(), position_time_s=0.0)
     assert monitor().permits(0.1, own, LEVEL)
     assert not monitor().permits(0.101, own, LEVEL)
+
+
+SPEEDS = dataclasses.replace(LIMITS, max_speed_m_s=12.0, max_climb_m_s=3.0, max_descent_m_s=2.0)
+
+
+@pytest.mark.parametrize(
+    ("velocity_enu_m_s", "flees_enu_m_s2"),
+    [
+        ((0.0, 0.0, 4.0), (0.5, 0.0, 4.0)),
+        ((0.0, 0.0, -3.0), (0.5, 0.0, -4.0)),
+        ((7.5, 10.0, 0.0), (3.0, 4.0, 0.5)),
+    ],
+)
+def test_a_speed_above_its_limit_is_braked_in_time_to_be_below_it_after_a_second(
+    velocity_enu_m_s: Vector3, flees_enu_m_s2: Vector3
+) -> None:
+    """A vehicle that flees from another one, which follows it."""
+    at, (vx, vy, vz) = CommandMonitor(SEPARATION_M, Airspace(FENCE, ()), SPEEDS), velocity_enu_m_s
+    excess_m_s = []
+    for tick in range(51):
+        now_s = NOW_S + 0.02 * tick
+        excess_m_s.append(max(hypot(vx, vy) - 12.0, vz - 3.0, -vz - 2.0))
+        flown = replace(vehicle((vx, vy, vz)), position_time_s=now_s)
+        ux, uy, uz = at.acceleration(now_s, flown, {}, flees_enu_m_s2)
+        vx, vy, vz = vx + 0.02 * ux, vy + 0.02 * uy, vz + 0.02 * uz
+    assert min(excess_m_s) <= FASTER_M_S
+    assert excess_m_s[1] > excess_m_s[0]  # at first it flees, as the filter wants
+
+
+def test_a_speed_within_its_limits_or_above_them_for_a_moment_is_let_be() -> None:
+    at, given = CommandMonitor(SEPARATION_M, Airspace(FENCE, ()), SPEEDS), (3.0, 0.0, 3.0)
+    for tick in range(500):
+        now_s, faster_m_s = NOW_S + 0.02 * tick, 0.5 if tick % 25 < 10 else 0.0
+        flown = replace(vehicle((12.0 + faster_m_s, 0.0, 3.0 + faster_m_s)), position_time_s=now_s)
+        assert at.acceleration(now_s, flown, {}, given) is given
