@@ -7,7 +7,7 @@ from math import hypot, sqrt
 import pytest
 from msgspec.structs import replace
 
-from companion.core.filter.motion import NO_ERROR, Ahead, Other, Silence, nearest_on_way
+from companion.core.filter.motion import Ahead, Other, Silence, nearest_on_way
 from companion.core.filter.solver import Rank
 from companion.core.filter.vehicles import (
     Barrier,
@@ -25,6 +25,7 @@ from companion.types.values import ZERO3, Vector3
 SEPARATION_M, BRAKING_M_S2 = 2.0, 1.5
 SETTINGS = SeparationSettings(1, SEPARATION_M, BRAKING_M_S2, 0.3, 8.0)
 LAG_S = 0.2
+NO_ERROR = PositionError(0.0, 0.0)
 ALONE_M = 0.15  # ripple and tracking, where the other makes no way
 STEP_S = 1e-5
 
@@ -89,6 +90,10 @@ STATES = [
         other((0.0, 0.0, 0.0), (0.0, 0.1, 0.9), height_weight=0.5, makes_way=True),
     ),
     (Ahead((2.0, 3.0, 6.0), (-0.3, -0.3, 0.8)), other((0.0, 0.0, 0.0), (0.6, 0.1, -0.9), height_weight=0.0)),
+    (
+        Ahead((0.6, 0.7, 0.9), (-0.1, 0.3, 0.2)),
+        other((0.0, 0.0, 0.0), (0.1, 0.2, -0.3), (0.2, -0.1, 0.3), height_weight=0.5),
+    ),
 ]
 
 
@@ -105,7 +110,12 @@ def test_on_the_constraint_the_barrier_falls_by_its_response(own: Ahead, one: Ot
     braking_m_s2 = 0.6 * BRAKING_M_S2 * size
     before, *_ = value(own, one, found.required_m, braking_m_s2)
     assert (nx, ny, nz) == pytest.approx(tuple(part / size for part in gradient))
-    assert rank is (Rank.MARGIN if found.constraint_without_margins else Rank.VEHICLE)
+    assert rank is Rank.VEHICLE and found.constraint_without_margins is None
+    assert found.other is one
+    ahead_s = one.age_s + LAG_S
+    assert found.offset_enu_m == pytest.approx(
+        tuple(o - q - v * ahead_s for o, q, v in zip(own.position_enu_m, *one.last[:2], strict=True))
+    )
     flown = tuple(least * n for n in (nx, ny, nz))
     later = Ahead(
         tuple(p + STEP_S * v for p, v in zip(own.position_enu_m, own.velocity_enu_m_s, strict=True)),
@@ -147,21 +157,33 @@ def test_a_turn_away_is_believed_for_a_tenth_of_a_second() -> None:
         moved = Ahead((4.0 - 0.5 * age_s, 0.0, 0.0), (-1.0 - 2.0 * age_s, 0.0, 0.0))
         found.append(barrier(moved, replace(flees, age_s=age_s)).constraint[3])
     assert found[1] - found[0] == pytest.approx(2.0, abs=0.01)
-    comes = replace(flees, last=(ZERO3, (0.5, 0.0, 0.0), (2.0, 0.0, 0.0)))
-    believed = [barrier(own, replace(comes, age_s=age_s)).constraint[3] for age_s in (0.1, 0.1001)]
-    assert believed[1] == pytest.approx(believed[0], abs=0.01)
+    for comes_m_s2 in (2.0, 0.5):
+        comes = replace(flees, last=(ZERO3, (0.5, 0.0, 0.0), (comes_m_s2, 0.0, 0.0)))
+        believed = [barrier(own, replace(comes, age_s=age_s)).constraint[3] for age_s in (0.1, 0.1001)]
+        assert believed[1] == pytest.approx(believed[0], abs=0.01)
 
 
-def test_without_the_margins_less_is_asked_by_a_higher_rank() -> None:
+@pytest.mark.parametrize(("own", "one"), STATES)
+def test_without_the_margins_less_is_asked_by_a_higher_rank(own: Ahead, one: Other) -> None:
     """The margins are errors, growth and leaps: not what the delay and the turn cost."""
-    doubtful = other(ZERO3, error=PositionError(0.3, 0.0))
-    own = Ahead((3.0, 0.0, 0.0), (-0.5, 0.0, 0.0))
-    found, exact = barrier(own, doubtful), barrier(own, other(ZERO3))
+    exact, found = barrier(own, one), barrier(own, replace(one, error=PositionError(0.3, 0.2)))
     assert found.constraint[4] is Rank.MARGIN and exact.constraint[4] is Rank.VEHICLE
-    assert exact.constraint_without_margins is None
     assert found.constraint_without_margins == pytest.approx(exact.constraint)
-    assert found.constraint[3] > exact.constraint[3]
-    assert found.required_m == pytest.approx(exact.required_m + 0.3)
+    assert found.constraint[3] >= exact.constraint[3]
+    assert found.required_m > exact.required_m
+
+
+def test_a_silent_vehicle_counts_where_it_may_be_and_not_ahead_of_that() -> None:
+    """One that brakes before this one: as a fresh one would whose packet, by its lag younger, says so."""
+    silence = Silence(0.3, 0.0, 1.0, BRAKING_M_S2, 8.0)
+    own, last = Ahead((-4.0, 0.5, 0.3), (1.0, 0.2, 0.0)), ((0.0, 0.0, 0.0), (3.0, 0.0, 0.1), (0.3, 0.0, 0.0))
+    point = nearest_on_way(own, last, 0.9, LAG_S, silence, 1.0)
+    assert point[1][0] > 1.0 and point[2][0] < 0.0
+    silent = barrier(own, other(*last, age_s=0.9, silence=silence))
+    same = barrier(own, other(*point, age_s=-LAG_S))
+    assert silent.constraint == pytest.approx(same.constraint)
+    assert silent.required_m == pytest.approx(same.required_m)
+    assert silent.offset_enu_m == pytest.approx(same.offset_enu_m)
 
 
 # ---------------------------------------------------------------- the distance that is kept
@@ -203,6 +225,15 @@ def test_from_a_silent_vehicle_more_is_kept_up_to_half_a_separation(age_s: float
     assert required_m(other(FAR, age_s=age_s, silence=silence)) == pytest.approx(
         SEPARATION_M + ALONE_M + growth_m + 0.2
     )
+
+
+def test_margins_add_up_and_a_slot_alone_changes_nothing() -> None:
+    silence = Silence(0.3, 0.0, 1.0, BRAKING_M_S2, 8.0)
+    one = other(FAR, age_s=2.0, silence=silence, error=PositionError(0.3, 0.0))
+    for slot in (None, FlownSlot(ZERO3)):
+        assert required_m(one, slot) == pytest.approx(SEPARATION_M + ALONE_M + 0.3 + 0.25)
+    together = other(FAR, slot=FlownSlot(FAR), makes_way=True, error=PositionError(0.3, 0.0))
+    assert required_m(together) == pytest.approx(SEPARATION_M + 0.3)
 
 
 def slots(own_enu_m: Vector3, its_enu_m: Vector3, **changes: float) -> tuple[FlownSlot, FlownSlot]:
@@ -267,6 +298,10 @@ def test_what_is_late_and_what_pursues_needs_more_room() -> None:
     for moves_m_s, makes_way, late_m in ((0.1, False, 0.21), (1.0, False, 0.4), (1.0, True, 0.3), (-3.0, False, 0.0)):
         found = barrier(own, other((0.0, 0.0, 0.0), (moves_m_s, 0.0, 0.0), makes_way=makes_way))
         assert found.required_m == pytest.approx(SEPARATION_M + ALONE_M + late_m)
+    slow = barrier(Ahead((6.0, 0.0, 0.0), (-0.5, 0.0, 0.0)), other(ZERO3, makes_way=True))
+    assert slow.required_m == pytest.approx(SEPARATION_M + ALONE_M + 0.05)
+    oblique = barrier(Ahead((3.6, 4.8, 0.0), ZERO3), other(ZERO3, (0.6, 0.8, 0.0)))
+    assert oblique.required_m == pytest.approx(SEPARATION_M + ALONE_M + 0.4)
     up = Ahead((0.0, 0.0, 12.0), ZERO3)
     found = barrier(up, other(ZERO3, (0.0, 0.0, 2.0), height_weight=0.5))
     assert found.required_m == pytest.approx(SEPARATION_M + ALONE_M + 0.4 * 1.0)
@@ -295,6 +330,17 @@ def test_at_a_quarter_of_the_separation_the_way_out_is_sideways_and_kept() -> No
     assert leaves(0.0, 0.05, 0.0, -1.0) == (-1.0, 0.0, 0.0)
     leaves(0.0, 0.0, 9.0)
     assert leaves(0.0, 0.051, 0.0) == pytest.approx((0.0, 1.0, 0.0))
+    leaves(0.0, 0.0, 9.0)
+    assert leaves(0.051, 0.0, 0.0, -1.0) == pytest.approx((1.0, 0.0, 0.0))
+
+
+def test_each_vehicle_that_is_near_has_a_way_out_of_its_own() -> None:
+    separation, far = Separation(SETTINGS), Ahead((9.0, 9.0, 9.0), ZERO3)
+    near = Ahead((0.3, 0.0, 0.0), ZERO3)
+    separation.barrier(near, NO_ERROR, None, other(ZERO3, key=4))
+    separation.barrier(far, NO_ERROR, None, other(ZERO3, key=5))
+    kept = separation.barrier(Ahead((0.0, 0.3, 0.0), ZERO3), NO_ERROR, None, other(ZERO3, key=4))
+    assert kept.constraint[:3] == (1.0, 0.0, 0.0)
 
 
 def test_sideways_the_direction_does_not_turn() -> None:
@@ -316,7 +362,7 @@ def test_below_a_silent_vehicle_a_horizontal_distance_is_kept() -> None:
     """2.5 s after its last setpoint it may be 3.15 m lower: the room has grown to 1.5 m."""
     own, one = Ahead((3.0, 4.0, 2.0), (0.3, -0.2, 0.4)), other((0.0, 0.0, 5.0), age_s=2.5, silence=SILENT)
     (found,) = below(own, one)
-    assert found.below and found.offset_enu_m == pytest.approx((3.0, 4.0, -3.0))
+    assert found.below and found.other is one and found.offset_enu_m == pytest.approx((3.0, 4.0, -3.0))
     assert found.required_m == pytest.approx(1.5)
     closing_m_s, across_m_s = 1.0 - (0.6 * 0.3 - 0.8 * 0.2), 0.6 * -0.2 - 0.8 * 0.3
     assert found.margin_m == pytest.approx(3.5)
@@ -343,6 +389,7 @@ def test_below_one_that_moves_on_the_distance_is_kept_from_where_it_may_be() -> 
     [
         ((1.0, 0.0, 2.0), {}, True),
         ((1.0, 0.0, 5.0), {}, False),  # as high
+        ((1.0, 0.0, 2.0), {"age_s": 1.5}, True),
         ((1.0, 0.0, 2.0), {"age_s": 1.0}, False),  # it keeps its attitude
         ((1.0, 0.0, 2.0), {"silence": replace(SILENT, lands=False)}, False),
         ((1.0, 0.0, 2.0), {"silence": None}, False),
@@ -357,8 +404,11 @@ def test_which_vehicles_are_above(own_enu_m: Vector3, changes: dict[str, object]
 def test_straight_below_each_leaves_to_its_own_side() -> None:
     for side in (1.0, -1.0):
         (found,) = below(Ahead((0.0, 0.0, 2.0), ZERO3), other((0.0, 0.0, 5.0), age_s=9.0, silence=SILENT, side=side))
-        assert found.constraint[:3] == (side, 0.0, 0.0)
+        assert found.constraint == pytest.approx((side, 0.0, 0.0, 5.0 * 1.5, Rank.MARGIN))
         assert found.required_m == pytest.approx(SEPARATION_M + 1.0 + ALONE_M)
+    tall = other((0.0, 0.0, 5.0), age_s=9.0, silence=SILENT, error=PositionError(0.3, 0.4))
+    (found,) = below(Ahead((0.0, 0.0, 2.0), ZERO3), tall, PositionError(0.4, 0.3))
+    assert found.required_m == pytest.approx(SEPARATION_M + 1.0 + ALONE_M + 0.5)  # no error of a height counts
 
 
 # ---------------------------------------------------------------- what is reported, and the turn to the right
@@ -385,22 +435,33 @@ def test_a_silent_vehicle_is_reported_where_it_was_when_it_may_first_have_turned
     found = barrier(Ahead((9.0, 0.0, 4.0), ZERO3), one)
     nearest, _ = nearest_and_violated(10.0, vehicle, [found], 2.0)
     assert nearest is not None and nearest.distance_m == pytest.approx(hypot(8.0, 2.0))
-    lower = replace(found, below=True, margin_m=-9.0)
+    lower = replace(found, below=True, margin_m=-9.0, other=replace(one, key=7))
     assert nearest_and_violated(10.0, vehicle, [found, lower], 2.0)[0] == nearest
 
 
+def test_distances_are_those_of_both_at_present() -> None:
+    vehicle = VehicleState(position_enu_m=(1.0, 2.0, 3.0), velocity_enu_m_s=(2.0, -1.0, 3.0), position_time_s=9.9)
+    one = other((4.0, -2.0, 9.0), (0.5, -1.5, 2.5), (9.0, 9.0, 9.0), age_s=0.2, height_weight=0.5)
+    apart_m = hypot(1.2 - 4.1, 1.9 + 2.3, 0.5 * (3.3 - 9.5))
+    for separation_m, is_violated in ((0.999 * apart_m, False), (1.001 * apart_m, True)):
+        nearest, violated = nearest_and_violated(10.0, vehicle, [barrier(Ahead(ZERO3, ZERO3), one)], separation_m)
+        assert nearest is not None and nearest.distance_m == pytest.approx(apart_m)
+        assert violated is is_violated
+
+
 def plane(normal: Vector3, least: float, one: Other | None = None, offset_enu_m: Vector3 = (3.0, 0.0, 0.0)) -> Barrier:
+    """Of a vehicle in formation, unless it is given; 2 m are required of it."""
     return Barrier((*normal, least, Rank.VEHICLE), one or other(ZERO3, slot=FlownSlot(ZERO3)), offset_enu_m, 2.0, 1.0)
 
 
 def test_what_is_removed_is_the_most_of_any_vehicle() -> None:
     planes = [plane((1.0, 0.0, 0.0), -1.0), plane((0.0, 0.6, 0.8), 0.5), plane((0.0, -1.0, 0.0), -9.0)]
-    assert largest_removed_m_s2((-3.0, 1.0, -1.0), planes) == pytest.approx(2.0)
-    assert largest_removed_m_s2((0.0, 1.0, -1.0), planes) == pytest.approx(0.7)
-    assert largest_removed_m_s2((9.0, 1.0, 9.0), planes) == 0.0
+    assert largest_removed_m_s2((-3.0, 2.0, -2.0), planes) == pytest.approx(2.0)
+    assert largest_removed_m_s2((0.0, 2.0, -2.0), planes) == pytest.approx(0.9)
+    assert largest_removed_m_s2((9.0, 2.0, 9.0), planes) == 0.0
 
 
-GAINS = Gains(1.0, 2.0)
+GAINS = Gains(2.0, 1.5)
 
 
 def test_a_vehicle_turns_right_of_what_blocks_its_way_by_what_that_takes() -> None:
@@ -411,7 +472,10 @@ def test_a_vehicle_turns_right_of_what_blocks_its_way_by_what_that_takes() -> No
     assert turn_right(wanted, ZERO3, GAINS, [plane((1.0, 0.0, 0.0), -1.0)]) == (0.0, 0.0)
     assert turn_right(wanted, ZERO3, GAINS, [plane((-1.0, 0.0, 0.0), -5.0)]) == (0.0, 0.0)
     assert turn_right(wanted, ZERO3, GAINS, [plane((0.0, 0.6, -0.8), 0.0)]) == pytest.approx((-0.8 * 0.4 * 0.6, 0.0))
-    both = [plane((1.0, 0.0, 0.0), 0.0), plane((0.8, 0.6, 0.0), 0.0)]
+    oblique = turn_right((-0.5, -0.7, 0.3), ZERO3, GAINS, [plane((0.48, 0.64, 0.6), 0.1)])
+    removed = 0.48 * 0.5 + 0.64 * 0.7 - 0.6 * 0.3
+    assert oblique == pytest.approx((-0.8 * removed * 0.64, 0.8 * removed * 0.48))
+    both = [plane((-1.0, 0.0, 0.0), -9.0), plane((1.0, 0.0, 0.0), 0.0), plane((0.8, 0.6, 0.0), 0.0)]
     assert turn_right(wanted, ZERO3, GAINS, both) == pytest.approx((-0.64 * 0.6, 0.8 + 0.64 * 0.8))
     x, y = turn_right((-9.0, 0.0, 0.0), ZERO3, GAINS, both)
     assert hypot(x, y) == pytest.approx(2.0)
@@ -419,24 +483,31 @@ def test_a_vehicle_turns_right_of_what_blocks_its_way_by_what_that_takes() -> No
 
 
 @pytest.mark.parametrize(
-    ("wanted", "velocity", "moves", "share"),
+    ("beyond_m", "velocity", "moves", "share"),
     [
-        ((-6.0, 0.0, 0.0), ZERO3, ZERO3, 1.0),  # the goal is 3 m beyond
-        ((-3.0, 0.0, 0.0), ZERO3, ZERO3, 0.0),  # it is on the goal
-        ((-5.5, 0.0, 0.0), ZERO3, ZERO3, 0.5),  # the goal is 2.5 m beyond it: of 2 m required
-        ((-3.5, 0.0, 0.0), (-1.0, 0.0, 0.0), ZERO3, 0.5),  # the same goal at this speed
-        ((-3.0, 0.0, 0.0), ZERO3, (0.0, 0.3, 0.0), 0.3),  # it leaves the goal
-        ((-3.0, 0.0, 0.0), ZERO3, (0.0, 4.0, 0.0), -1.0),
-        ((-6.0, 0.0, 0.0), (0.0, -0.21, 0.0), ZERO3, -1.0),  # it is passed on the other side already
-        ((-6.0, 0.0, 0.0), (0.0, -0.19, 0.0), ZERO3, 1.0),
-        ((-6.0, 0.0, 0.0), (0.0, 5.0, 0.0), ZERO3, 1.0),
+        (3.0, ZERO3, ZERO3, 1.0),
+        (0.0, ZERO3, ZERO3, 0.0),  # it is on the goal
+        (2.0, ZERO3, ZERO3, 0.0),  # the goal is within the distance that is required of it
+        (2.5, ZERO3, ZERO3, 0.5),
+        (2.5, (-0.8, -0.6, 0.0), ZERO3, 0.5),  # at any speed
+        (2.5, (-0.4, 0.3, 0.0), (0.0, 0.0, 0.9), 0.5),
+        (0.0, ZERO3, (0.09, -0.12, 0.0), 0.15),  # it leaves the goal
+        (2.5, (0.1, 0.0, 0.0), (0.24, -0.32, 0.0), 0.5),
+        (0.0, ZERO3, (2.4, -3.2, 0.0), 1.0),
+        (3.0, (0.126, -0.168, 0.0), ZERO3, -1.0),  # it is passed on the other side already, by 0.21 m/s
+        (3.0, (0.114, -0.152, 0.0), ZERO3, 1.0),
+        (3.0, (0.126, -0.168, 0.0), (0.012, -0.016, 0.0), 1.0),
+        (3.0, (0.114, -0.152, 0.0), (-0.012, 0.016, 0.0), -1.0),
     ],
 )
 def test_a_vehicle_that_does_not_make_way_is_passed_but_not_circled(
-    wanted: Vector3, velocity: Vector3, moves: Vector3, share: float
+    beyond_m: float, velocity: Vector3, moves: Vector3, share: float
 ) -> None:
-    one = plane((1.0, 0.0, 0.0), wanted[0] + 1.0, other(ZERO3, moves))
-    if moves[1] == 0.3:
-        share = -share  # it drifts to the north: it is passed on its other side
-    found = turn_right(wanted, velocity, GAINS, [one])
-    assert found == pytest.approx((0.0, 0.8 * share))
+    """It is 3 m away at (-0.8, -0.6), and the goal `beyond_m` farther: what the law wants is that of the goal."""
+    goal = (-0.8 * (3.0 + beyond_m), -0.6 * (3.0 + beyond_m))
+    wanted = (2.0 * goal[0] - 1.5 * velocity[0], 2.0 * goal[1] - 1.5 * velocity[1], 0.0)
+    along = 0.8 * wanted[0] + 0.6 * wanted[1]
+    one = plane((0.8, 0.6, 0.0), along + 1.5, other(ZERO3, moves), (2.4, 1.8, 0.0))
+    removed = min(along + 1.5, 0.0) - along
+    size = min(0.8 * removed * abs(share), 2.0) * (1.0 if share > 0.0 else -1.0)
+    assert turn_right(wanted, velocity, GAINS, [one]) == pytest.approx((-0.6 * size, 0.8 * size), abs=1e-12)

@@ -10,7 +10,6 @@ from msgspec.structs import replace
 from common import slot_peer, with_fields
 from companion.core.consensus.peers import PeerState
 from companion.core.filter.motion import (
-    NO_ERROR,
     Ahead,
     Motion,
     Motions,
@@ -28,6 +27,7 @@ from companion.types.peers import ReceivedTraffic, TrafficSample
 from companion.types.values import ZERO3, Vector3
 
 P = FlightPhase
+NO_ERROR = PositionError(0.0, 0.0)
 LAST: Motion = ((10.0, -4.0, 20.0), (3.0, -2.0, 1.5), (0.8, 0.5, -0.7))
 SILENCE = Silence(begins_s=0.3, brakes_s=0.5, kept_s=1.0, braking_m_s2=2.5, most_m_s=6.0)
 STEP_S = 1e-3
@@ -138,6 +138,13 @@ def test_between_its_ends_the_point_follows_the_own_motion_along_the_way(weight:
         at = left[0]
         expected = [a + at * (b - a) for a, b in zip(braked[2], coasted[2], strict=True)]
         assert acceleration == pytest.approx(expected)
+
+
+def test_beyond_its_ends_the_way_goes_not_on() -> None:
+    braked, coasted = end_of_way(-1.0, 3.0, 0.2), end_of_way(1.0, 3.0, 0.2)
+    for share, end in ((-0.3, braked), (1.3, coasted)):
+        at = tuple(a + share * (b - a) for a, b in zip(braked[0], coasted[0], strict=True))
+        assert nearest_on_way(Ahead(at, (9.0, 9.0, 9.0)), LAST, 3.0, 0.2, SILENCE, 1.0) == end
 
 
 def test_below_a_vehicle_that_may_land_the_room_grows_by_a_metre_a_second_or_as_the_landing_comes() -> None:
