@@ -1,13 +1,15 @@
-from itertools import product
-from math import cos, dist, hypot, isfinite, radians, sin, tan
+from itertools import combinations, product
+from math import cos, dist, hypot, isfinite, pi, radians, sin, tan
+from random import Random
 
+import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.core.filter.solver import AccelerationLimits, Constraint, Rank, filter_acceleration
-from companion.types.values import Vector3
+from companion.core.filter.solver import AccelerationLimits, Constraint, Rank, filter_acceleration, shortfalls
+from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
 LIMITS = AccelerationLimits.of_envelope(tan(radians(25.0)), 0.3, 1.6)
 LEVEL_M_S2 = LIMITS.level_radius_m_s2(0.0)
@@ -170,3 +172,132 @@ def test_no_point_of_a_grid_is_nearer_and_allowed(u: Vector3, asked: list[Constr
         ):
             assert dist(found, u) <= dist(point, u) + 1e-6
             assert all(along(space[:3], found) >= space[3] - 0.05 for space in asked)
+
+
+# ---------------------------------------------------------------- against all active sets, and the limits to the number
+
+FREE = AccelerationLimits(1e3, -9.0, 1e3, (0.0, 0.0, 0.0))  # nothing that is asked below reaches a limit
+
+
+def nearest_of_all_active_sets(u: Vector3, asked: list[Constraint]) -> np.ndarray | None:
+    """The nearest point that meets all constraints, by solving each set of up to three of them with equality."""
+    best, start = None, np.array(u)
+    for count in range(4):
+        for active in combinations(asked, count):
+            point = start
+            if active:
+                normals, least = np.array([c[:3] for c in active]), np.array([c[3] for c in active])
+                gram = normals @ normals.T
+                if np.linalg.cond(gram) > 1e6:
+                    continue
+                point = start + normals.T @ np.linalg.solve(gram, least - normals @ start)
+            if all(np.dot(c[:3], point) >= c[3] - 1e-9 for c in asked):
+                apart = np.linalg.norm(point - start)
+                if best is None or apart < np.linalg.norm(best - start):
+                    best = point
+    return best
+
+
+@pytest.mark.parametrize("count", range(1, 8))
+def test_the_result_is_that_of_the_best_active_set(count: int) -> None:
+    random, solved = Random(count), 0
+    for _ in range(25):
+        asked = [
+            to_constraint(unit(random.uniform(-3.1, 3.1), random.uniform(-0.9, 0.9)), random.uniform(-2.0, 1.5))
+            for _ in range(count)
+        ]
+        u = (random.uniform(-3.0, 3.0), random.uniform(-3.0, 3.0), random.uniform(-3.0, 3.0))
+        expected = nearest_of_all_active_sets(u, asked)
+        if expected is not None and abs(expected).max() < 8.0:
+            solved += 1
+            assert filter_acceleration(u, asked, FREE, 60) == pytest.approx(expected, abs=1e-4)
+    assert solved > 5
+
+
+@pytest.mark.parametrize("most_steps", range(6))
+def test_each_step_of_the_method_meets_one_constraint_more(most_steps: int) -> None:
+    """Of four at right angles or opposite to each other, the one that is violated most first."""
+    asked = [
+        to_constraint(EAST, 2.0),
+        to_constraint(NORTH, 3.0),
+        to_constraint((0.0, 0.0, 1.0), 1.0),
+        to_constraint(direction(1, 1, 1), 3.6),
+    ]
+    u = filter_acceleration((0.0, 0.0, 0.0), asked, FREE, most_steps)
+    met = [along(space[:3], u) >= space[3] - 1e-5 for space in asked]
+    assert met[3] is (most_steps > 0)
+    assert met[1] is (most_steps > 1)
+    assert all(met) is (most_steps > 2)
+
+
+@pytest.mark.parametrize("ranks", [(Rank.GROUND, Rank.FENCE), (Rank.VEHICLE, Rank.MARGIN), (Rank.SPEED, Rank.UNSHAKEN)])
+@pytest.mark.parametrize("angle", [0.0, 0.7, 2.0])
+def test_of_a_contradiction_the_lower_rank_gives_way_by_no_more_than_it_must(
+    ranks: tuple[Rank, Rank], angle: float
+) -> None:
+    """Three planes that leave no point between them: two of the lower rank give way alike."""
+    normals = [unit(angle + turn, 0.0) for turn in (0.0, 2.0 * pi / 3.0, -2.0 * pi / 3.0)]
+    asked = [
+        to_constraint(n, least, rank)
+        for n, least, rank in zip(normals, (1.0, 1.0, 0.4), (*ranks, ranks[1]), strict=True)
+    ]
+    u = filter_acceleration((0.1, -0.2, 0.0), asked, FREE, 60)
+    short = [space[3] - along(space[:3], u) for space in asked]
+    assert short == pytest.approx([0.0, 1.2, 1.2], abs=1e-4)
+
+
+def test_shortfalls_are_the_worst_of_each_rank() -> None:
+    rows = [
+        to_constraint(EAST, 3.0, Rank.FENCE),
+        to_constraint(NORTH, 3.5, Rank.FENCE),
+        to_constraint((0.0, 0.6, 0.8), 1.0, Rank.VEHICLE),
+        to_constraint(WEST, -9.0, Rank.SPEED),
+    ]
+    found = shortfalls((1.0, 2.0, -1.0), rows)
+    assert found == pytest.approx([1e-6, 1e-6, 0.6, 1e-6, 2.0, 1e-6, 1e-6, 1e-6])
+
+
+def test_the_limits_are_a_cut_cone_about_the_wind() -> None:
+    """The vertical part is limited first, then the direction over ground is kept."""
+    g = GRAVITY_M_S2
+    assert (LIMITS.lowest_m_s2, LIMITS.highest_m_s2) == pytest.approx((-0.7 * g, 0.6 * g))
+    tilt = tan(radians(25.0))
+    radii = [LIMITS.level_radius_m_s2(up) for up in (0.0, 2.0, 99.0, -99.0)]
+    assert radii == pytest.approx([g * tilt, (g + 2.0) * tilt, 1.6 * g * tilt, 0.3 * g * tilt])
+    windy = replace(LIMITS, disturbance_enu_m_s2=(1.5, -0.5, 0.0))
+    assert windy.limit((1.5 + 6.0, -0.5 - 8.0, 1.0)) == pytest.approx(
+        (1.5 + 0.6 * (g + 1.0) * tilt, -0.5 - 0.8 * (g + 1.0) * tilt, 1.0)
+    )
+    assert windy.limit((1.0, 1.0, 99.0)) == pytest.approx((1.0, 1.0, 0.6 * g))
+    assert windy.limit((1.5, -0.5, -99.0)) == pytest.approx((1.5, -0.5, -0.7 * g))
+    for possible in ((1.0, 1.0, 0.5), (1.5 + 0.999 * g * tilt, -0.5, 0.0), (1.5, -0.5, 0.6 * g)):
+        assert windy.limit(possible) is possible
+
+
+@pytest.mark.parametrize("normal", [EAST, direction(1, 2, 1), direction(-1, 0.2, 0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)])
+def test_more_than_can_be_flown_is_asked_as_all_of_it(normal: Vector3) -> None:
+    """So two that ask for far too much share what there is, whatever they ask for."""
+    windy = replace(LIMITS, disturbance_enu_m_s2=(0.7, -0.4, 0.0))
+    found = [filter_acceleration(ZERO3, [to_constraint(normal, least)], windy) for least in (30.0, 3000.0)]
+    assert found[0] == pytest.approx(found[1])
+    (nx, ny, nz), (x, y, z) = normal, found[0]
+    level_m_s2 = hypot(nx, ny) * LEVEL_M_S2 + nx * 0.7 - ny * 0.4
+    assert along(normal, found[0]) > 0.75 * level_m_s2 + 0.75 * abs(nz) * 5.0
+    assert hypot(x - 0.7, y + 0.4) <= windy.level_radius_m_s2(z) * 1.0001
+
+
+@pytest.mark.parametrize("azimuth", [0.3, 2.5])
+def test_a_level_constraint_changes_no_height(azimuth: float) -> None:
+    found = filter_acceleration((0.0, 0.0, 2.0), [to_constraint(unit(azimuth, 0.0), 9.0)], LIMITS, 20)
+    assert found[2] == pytest.approx(2.0, abs=0.01)
+    assert along(unit(azimuth, 0.0), found) == pytest.approx(LIMITS.level_radius_m_s2(2.0), rel=0.02)
+
+
+def test_a_constraint_that_no_vehicle_violates_is_left_out_and_a_met_one_is_met_within_rounding() -> None:
+    u = (-13.0, 0.0, 0.0)
+    assert filter_acceleration(u, [to_constraint(EAST, -13.0 + 0.5e-6)], FREE) is u
+    assert filter_acceleration(u, [to_constraint(EAST, -13.0 + 2e-6)], FREE) is not u
+    both = [to_constraint(EAST, -12.5), to_constraint(NORTH, 1.0)]
+    assert filter_acceleration(u, both, FREE) == pytest.approx((-13.0, 1.0, 0.0))  # below -12: never active
+    both = [to_constraint(EAST, -11.5), to_constraint(NORTH, 1.0)]
+    assert filter_acceleration(u, both, FREE) == pytest.approx((-11.5, 1.0, 0.0))
