@@ -100,7 +100,7 @@ link-faults: .venv/test.ready
 	$(BIN)/pytest -v --durations 5 tests/faults/test_lost_computers.py tests/faults/test_interfaces.py
 
 attacks: .venv/test.ready
-	$(BIN)/pytest -v --faults --fault-table docs/attacks.md tests/faults/test_strangers.py tests/faults/test_strangers_quic.py
+	$(BIN)/pytest -v --faults --fault-table docs/attacks.md tests/faults/test_strangers.py tests/faults/test_strangers_quic.py tests/faults/test_lying_agent.py
 
 test-external: .venv/test.ready
 	$(BIN)/pytest -v -rs --durations 0 tests/external

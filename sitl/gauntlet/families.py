@@ -319,6 +319,25 @@ def partition(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     return FamilyPlan(slow(random, fleet), steps, partitions=[split], slots_from_s=16.0, lasts_s=30.0)
 
 
+FENCE_ROOM_M, CEILING_ROOM_M = (2.0, 8.0), (1.5, 4.0)  # beyond all places at which vehicles are to be
+OBSTACLE_RADIUS_M, OBSTACLE_AWAY_M = (0.3, 2.0), (2.0, 10.0)
+
+
+def confine(random: Random, fleet: DrawnFleet, plan: FamilyPlan) -> None:
+    """A fence close round the starts and the slots, and an obstacle. What the fleet cannot fly in it is refused."""
+    places = [*fleet.starts_enu_m.values(), *fleet.slots_enu_m.values()]
+    room_m = random.uniform(*FENCE_ROOM_M)
+    lows = [to_thousandth(min(place[axis] for place in places) - room_m) for axis in (0, 1)]
+    highs = [to_thousandth(max(place[axis] for place in places) + room_m) for axis in (0, 1)]
+    top_m = fleet.height_m + max(place[2] for place in places) + random.uniform(*CEILING_ROOM_M)
+    plan.settings["envelope.fence_min_enu_m"] = [*lows, -1.0]
+    plan.settings["envelope.fence_max_enu_m"] = [*highs, to_thousandth(top_m)]
+    centre = direction(random, random.uniform(*OBSTACLE_AWAY_M))
+    radius_m = to_thousandth(random.uniform(*OBSTACLE_RADIUS_M))
+    obstacle = {"kind": "cylinder", "centre_enu_m": list(centre[:2]), "radius_m": radius_m, "top_m": 20.0}
+    plan.settings["obstacles"] = [obstacle]
+
+
 FAMILIES: dict[str, Family] = {
     "formation_change": formation_change,
     "form_near": form_near,

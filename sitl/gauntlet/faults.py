@@ -15,6 +15,7 @@ from sitl.gauntlet.families import (
     Content,
     Family,
     FamilyPlan,
+    confine,
     exchange,
     fast,
     form_crossing,
@@ -231,8 +232,6 @@ def _set_to_bounds(random: Random, _fleet: DrawnFleet, plan: FamilyPlan) -> None
 # ---------------------------------------------------------------- several at once
 
 WIND_M_S, GUST_SD_M_S, GUST_TIME_S = 6.0, 1.5, (0.5, 4.0)
-FENCE_ROOM_M, CEILING_ROOM_M = (2.0, 8.0), (1.5, 4.0)  # beyond all places at which vehicles are to be
-OBSTACLE_RADIUS_M, OBSTACLE_AWAY_M = (0.3, 2.0), (2.0, 10.0)
 
 
 def combined(random: Random, fleet: DrawnFleet) -> FamilyPlan:
@@ -262,23 +261,8 @@ def _blow(random: Random, _fleet: DrawnFleet, plan: FamilyPlan) -> None:
     plan.stand_in["wind"] = {"mean_enu_m_s": list(mean), **{key: to_thousandth(value) for key, value in gusts.items()}}
 
 
-def _confine(random: Random, fleet: DrawnFleet, plan: FamilyPlan) -> None:
-    """A fence close round the starts and the slots, and an obstacle. What the fleet cannot fly in it is refused."""
-    places = [*fleet.starts_enu_m.values(), *fleet.slots_enu_m.values()]
-    room_m = random.uniform(*FENCE_ROOM_M)
-    lows = [to_thousandth(min(place[axis] for place in places) - room_m) for axis in (0, 1)]
-    highs = [to_thousandth(max(place[axis] for place in places) + room_m) for axis in (0, 1)]
-    top_m = fleet.height_m + max(place[2] for place in places) + random.uniform(*CEILING_ROOM_M)
-    plan.settings["envelope.fence_min_enu_m"] = [*lows, -1.0]
-    plan.settings["envelope.fence_max_enu_m"] = [*highs, to_thousandth(top_m)]
-    centre = direction(random, random.uniform(*OBSTACLE_AWAY_M))
-    radius_m = to_thousandth(random.uniform(*OBSTACLE_RADIUS_M))
-    obstacle = {"kind": "cylinder", "centre_enu_m": list(centre[:2]), "radius_m": radius_m, "top_m": 20.0}
-    plan.settings["obstacles"] = [obstacle]
-
-
 LEAVE = (_commanded("hold"), _commanded("land"), _commanded("return"), _piloted, _low_battery)
-DISTURBANCES = (_split_network, _lose_vehicle, _delay_telemetry, _lose_gps, _blow, _set_to_bounds, _confine)
+DISTURBANCES = (_split_network, _lose_vehicle, _delay_telemetry, _lose_gps, _blow, _set_to_bounds, confine)
 
 FAULTS: dict[str, Family] = {
     "hold_in_motion": hold_in_motion,

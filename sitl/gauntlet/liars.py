@@ -14,6 +14,7 @@ from sitl.gauntlet.families import (
     Content,
     Family,
     FamilyPlan,
+    confine,
     exchange,
     fast,
     form_crossing,
@@ -75,9 +76,11 @@ SITUATIONS: tuple[Family, ...] = (
 
 def _with_liars(random: Random, fleet: DrawnFleet, count: int) -> FamilyPlan:
     liars, situation = random.sample(fleet.ids, count), random.choice(SITUATIONS)
-    begins_s, lies_of_each = random.uniform(*FROM_S), random.choice((1, 1, 2))
+    begins_s, lies_of_each, confined = random.uniform(*FROM_S), random.choice((1, 1, 2)), random.random() < 0.5
     lies = [_lie(random, fleet, vehicle_id, begins_s) for vehicle_id in liars for _ in range(lies_of_each)]
     plan = situation(random, fleet)
+    if confined:
+        confine(random, fleet, plan)
     plan.links["lies"] = lies
     plan.expected = []  # followers of a liar are off their slots
     return plan

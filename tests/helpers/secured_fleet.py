@@ -183,7 +183,9 @@ class SecuredFleet:
 
 
 @contextmanager
-def secured_fleet(folder: Path, *overrides: str) -> Iterator[SecuredFleet]:
+def secured_fleet(
+    folder: Path, *overrides: str, processes: type[FleetProcesses] = FleetProcesses
+) -> Iterator[SecuredFleet]:
     """The processes of a fleet in formation, ended with the block. `overrides` are those of the scenario."""
     scenario = load_scenario(ROOT / "config" / "scenarios" / "platoon.yaml", (*OVERRIDES, *overrides))
     protocol = protocol_of(scenario.fleet, secured=True)
@@ -193,7 +195,7 @@ def secured_fleet(folder: Path, *overrides: str) -> Iterator[SecuredFleet]:
     use_identities(scenario, folder, keys)
     endpoints = [f"{protocol}/127.0.0.1:{ports_of(i, offset).zenoh}" for i in IDS]
     with (
-        FleetProcesses.start_written(scenario, folder, offset, stand_ins_together(scenario)),
+        processes.start_written(scenario, folder, offset, stand_ins_together(scenario)),
         FleetSession("*", endpoints, identity=load(identity_folder(keys, OTHERS_IN_FLIGHT[0]), {})) as session,
     ):
         fleet = SecuredFleet(scenario, folder, keys, offset, protocol, session, Ground(session))

@@ -60,7 +60,7 @@ def list_file(folder: Path, environment: Mapping[str, str]) -> Path:
     return (Path(state) if state else folder) / ADMITTED_FILE
 
 
-CHECK_S = 2.0
+CHECK_S = 0.4  # what a revoked participant sends is used for less than a second
 
 _log = logging.getLogger(__name__)
 
