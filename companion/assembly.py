@@ -254,7 +254,6 @@ def _setpoint(
         stream=stream,
         flown_for_s=flown_for_s,
         drag_1_s=config.vehicle.drag_1_s,
-        profiles=PROFILES,
     )
 
 

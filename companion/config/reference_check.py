@@ -148,6 +148,8 @@ def _pace(where: str, fleet: FleetConfig, reference: Reference) -> Iterator[Prob
     """Above these limits vehicles cannot follow."""
     speed_m_s, acceleration_m_s2 = reference.largest_pace()
     accepted_m_s, most_m_s2 = most_pace(fleet)
+    if accepted_m_s <= 0.0 or most_m_s2 <= 0.0:
+        return  # the fleet is refused: turning slots leave a reference nothing
     for_turning = ", less what slots need that turn" if fleet.slots_turn else ""
     found: dict[str, tuple[float, Problem]] = {}  # by field: how many times slower it must be, and the problem
     if acceleration_m_s2 > most_m_s2 * ROUNDED:

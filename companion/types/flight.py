@@ -110,6 +110,7 @@ class PhaseChange(Enum):
     HAND_OVER_LEVEL = auto()  # the same without braking, where the velocity is in doubt
     HAND_OVER_NOW = auto()  # the same without levelling, where the attitude is unknown
     GIVE_UP = auto()  # from ENGAGE and FORMATION to OBSERVE
+    HOLD = auto()  # from OBSERVE to the autopilot's own hold, where it still waits for setpoints
     ABANDON = auto()  # from every phase to OBSERVE
     LAND = auto()  # from HOLD by the autopilot's own landing, unless a command came in the same tick
     RETURN = auto()  # from HOLD by the autopilot's own return, likewise

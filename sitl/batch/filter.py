@@ -146,11 +146,12 @@ class Singles:
         lasts = np.vstack([pairs.last[:, which], pairs.age_s[which], pairs.formed[which]]).T.tolist()
         rows = np.vstack([asked.normal[:, which], asked.least_m_s2[which], asked.margins_m[:, which]]).T.tolist()
         for place, own, other, last, (nx, ny, nz, least, required_m, margin_m) in zip(*ids, lasts, rows, strict=True):
-            x, y, z, vx, vy, vz, ax, ay, az, age_s, formed = last
+            x, y, z, vx, vy, vz, ax, ay, az, ux, uy, uz, age_s, formed = last
             key = self._ids[other]
             one = Other(
                 key,
                 ((x, y, z), (vx, vy, vz), (ax, ay, az)),
+                (ux, uy, uz),
                 age_s,
                 None,
                 self._errors[self._formation[other]],

@@ -18,6 +18,7 @@ from companion.core.filter.motion import LAG_S, NEAR_M, NEAR_S
 from companion.core.filter.vehicles import (
     BELIEVED_S,
     FASTEST_LEAVING_M_S,
+    GROWTH_M_S,
     LARGEST_ERROR_RATIO,
     LEAST_DISTANCE_M,
     NEAREST_M,
@@ -36,6 +37,7 @@ from sitl.batch.columns import LINKS_TO_ALL, BoolArray, Columns, IntArray
 from sitl.batch.packets import ACCELERATION, PERIOD_S, VELOCITY, ReceivedPackets, Reception, everyone_of
 from sitl.flight.scenario import Scenario
 
+COMMANDED = slice(9, 12)
 NEARLY = 1.0 + 1e-9
 LAG_SHARE = PERIOD_S / (LAG_S + PERIOD_S)  # of a command in the acceleration that a vehicle flies, for each tick
 SMALLEST_SIZE = HEIGHT_WEIGHT  # of a normal in coordinates with weighted heights
@@ -68,9 +70,9 @@ class Heard:
 class Pairs:
     """P pairs of vehicles, each (P,).
 
-    `place` is that of the vehicle in its group, `own` its column and `other` that of the other one. `last` (9, P): position,
-    velocity and lagged acceleration of the other one by its newest packet, `age_s` old. `formed`: it was in formation then, so
-    it makes way.
+    `place` is that of the vehicle in its group, `own` its column and `other` that of the other one. `last` (12, P): position,
+    velocity, lagged and commanded acceleration of the other one by its newest packet, `age_s` old. `formed`: it was in
+    formation then, so it makes way.
     """
 
     place: IntArray
@@ -94,7 +96,8 @@ class Nearby:
         self._reception = kept
         start = np.concatenate([telemetry[:6], np.zeros((1, columns.count))])
         self._motions = np.tile(start, kept.kept)
-        self._flown = np.zeros((self._motions.shape[1], 4))  # the acceleration, and 1 in formation
+        # The lagged acceleration, the command, and 1 in formation.
+        self._flown = np.zeros((self._motions.shape[1], 7))
         self._lagged_enu_m_s2 = np.zeros((3, columns.count))
         self._first_enu_m_s2 = np.zeros((3, columns.count))  # the commands of the first tick
         self._heard_at_once = kept.lag == 0
@@ -106,8 +109,9 @@ class Nearby:
         if tick == 0:
             self._first_enu_m_s2[:, group] = commanded_enu_m_s2
         most_m_s2 = _size(lagged) + _left_of_first(tick) * _size(self._first_enu_m_s2[:, group])
+        most_m_s2 = np.maximum(most_m_s2, _size(commanded_enu_m_s2))
         self._motions[:6, places], self._motions[6, places] = now, most_m_s2
-        self._flown[places, :3], self._flown[places, 3] = lagged.T, 1.0
+        self._flown[places] = np.concatenate([lagged, commanded_enu_m_s2, np.ones((1, lagged.shape[1]))]).T
 
     def moving(self, group: slice, telemetry: FloatArray) -> Moving:
         """As these vehicles are by their telemetry and their commands up to the last tick."""
@@ -125,10 +129,10 @@ class Nearby:
         pair = np.nonzero(which & heard.received.fresh)
         place, other = pair[0], self._other[group][pair]
         flown = self._flown.take(heard.received.indices[pair], axis=0, mode="wrap").T
-        left = _left_of_first(heard.tick) * (self._heard_at_once[group][pair] & (flown[3] > 0.0))
+        left = _left_of_first(heard.tick) * (self._heard_at_once[group][pair] & (flown[6] > 0.0))
         flown[:3] += left * self._first_enu_m_s2[:, other]
-        last = np.concatenate([heard.motions[:6, pair[0], pair[1]], flown[:3]])
-        return Pairs(place, place + group.start, other, last, heard.received.age_s[pair], flown[3] > 0.0)
+        last = np.concatenate([heard.motions[:6, pair[0], pair[1]], flown[:6]])
+        return Pairs(place, place + group.start, other, last, heard.received.age_s[pair], flown[6] > 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +183,7 @@ class BatchSeparation:
         braking_m_s2, approach_m_s = self._braking_m_s2[group, None], np.maximum(closing_m_s, 0.0)
         margin_m = apart_m - self._most_required_m[group, None] - UNSEEN_DELAY_S * approach_m_s
         margin_m -= TURNING_S2 * speed_m_s * speed_m_s / (apart_m + NEAREST_M)
+        margin_m -= GROWTH_M_S * np.maximum(age_s - BELIEVED_S, 0.0)
         straight_m = braking_m_s2 / (SLOPE_1_S * SLOPE_1_S)
         # The slowest approach is that from above or below, where a normal is shortest.
         allowed_m_s = np.sqrt(2.0 * SMALLEST_SIZE * braking_m_s2 * np.maximum(margin_m - 0.5 * straight_m, 1e-9))
@@ -200,11 +205,12 @@ class BatchSeparation:
         normal[2] *= HEIGHT_WEIGHT
         required_m = self._required_m(pairs, separation_m, off_m, np.abs(normal[2]))
         required_m += TURNING_S2 * across_m_s2 + UNSEEN_DELAY_S * np.maximum(closing_m_s, 0.0)
+        required_m += GROWTH_M_S * np.maximum(pairs.age_s - BELIEVED_S, 0.0)
         size, margin_m = _size(normal), apart_m - required_m
         braking_m_s2 = self._braking_m_s2[pairs.own] * size
         allowed_m_s, slope_1_s = approach_speeds(margin_m, braking_m_s2, SLOPE_1_S, FASTEST_LEAVING_M_S)
         least_m_s2 = RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2
-        towards_m_s2 = _dot(normal, last[ACCELERATION])
+        towards_m_s2 = _dot(normal, last[COMMANDED])
         towards_m_s2[(pairs.age_s > BELIEVED_S) & (towards_m_s2 < 0.0)] = 0.0
         least_m_s2 = np.maximum(least_m_s2 + towards_m_s2, 0.5 * least_m_s2) / size
         least_m_s2[(apart_m <= SIDEWAYS_RATIO * separation_m) | ~pairs.formed] = np.inf

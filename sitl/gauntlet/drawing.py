@@ -12,6 +12,7 @@ from typing import Any, Self
 
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
+from companion.types.autopilot import AutopilotKind
 from companion.types.errors import CompanionError
 from sitl.flight.flights import DivergesError, check_convergence
 from sitl.flight.scenario import Scenario, scenario_from
@@ -131,9 +132,14 @@ def draw_flight(
 
 
 def _not_taken(scenario: Scenario) -> frozenset[int]:
-    """The vehicles that no pilot takes over and that know their positions."""
+    """The vehicles that no pilot takes over and that know their positions; no ArduCopter whose telemetry is late.
+
+    It drifts, as it waits for setpoints, and its agent does not know whether a pilot has taken over.
+    """
     taken = {pilot.vehicle for pilot in scenario.stand_in.pilots}
     taken |= {loss.vehicle for loss in scenario.stand_in.position_losses}
+    if scenario.stand_in.autopilot is AutopilotKind.ARDUPILOT:
+        taken |= {late.vehicle for late in scenario.links.late_telemetry}
     return frozenset(member.id for member in scenario.fleet.vehicles if member.id not in taken)
 
 
@@ -147,7 +153,9 @@ def _content(
     """The scenario as plain content, and the runaway vehicle."""
     stays_out, runaway, pilots = set(plan.stays_out), None, []
     if with_runaway:
-        runaway = random.choice([i for i in fleet.followers if i not in (fleet.successor, *stays_out)])
+        without_gps = {loss["vehicle"] for loss in plan.stand_in.get("position_losses", ())}
+        others = {fleet.successor, *stays_out, *without_gps}
+        runaway = random.choice([i for i in fleet.followers if i not in others])
         pilot, from_outside = _pilot(random, fleet, runaway)
         pilots.append(pilot | {"at_s": _seen_at_s(pilot["at_s"], plan)})
         stays_out |= {runaway} if from_outside else set()

@@ -141,8 +141,10 @@ def lost_gps(random: Random, fleet: DrawnFleet) -> FamilyPlan:
 
 
 def _lose_gps(random: Random, fleet: DrawnFleet, plan: FamilyPlan) -> None:
+    """Of a vehicle without a pilot: nobody knows where one flies that has both."""
     plan.judges_hand_over = True
-    lost = random.choice(fleet.ids)
+    piloted = {pilot["vehicle"] for pilot in plan.stand_in.get("pilots", ())}
+    lost = random.choice([i for i in fleet.ids if i not in piloted])
     from_s = random.uniform(1.0, 12.0)
     loss: Content = {"vehicle": lost, "at_s": at(from_s), "receiver": random.choice(("silent", "jammed"))}
     loss["drift_enu_m_s2"] = list(direction(random, random.uniform(0.02, 0.08)))
@@ -250,7 +252,8 @@ def _split_network(random: Random, fleet: DrawnFleet, plan: FamilyPlan) -> None:
 
 def _lose_vehicle(random: Random, fleet: DrawnFleet, plan: FamilyPlan) -> None:
     plan.judges_hand_over = True
-    vehicle_id = random.choice(fleet.ids)
+    lost = {loss["vehicle"] for loss in plan.stand_in.get("position_losses", ())}
+    vehicle_id = random.choice([i for i in fleet.ids if i not in lost])
     LEAVE[random.randrange(len(LEAVE))](random, plan, vehicle_id, to_thousandth(random.uniform(1.0, 14.0)))
     _expect_without(fleet, plan, [vehicle_id])
 

@@ -266,6 +266,8 @@ class PhaseMachine:
                 self.hand_over_silently(now_s, vehicle, request.reason)
             case PhaseChange.GIVE_UP if self.phase in STREAMING:
                 self.give_up(request.reason)
+            case PhaseChange.HOLD if self.phase is P.OBSERVE and vehicle.mode is M.OFFBOARD:
+                self._begin(C.HOLD, now_s, vehicle, request.reason)
             case PhaseChange.ABANDON:
                 self.give_up(request.reason)
             case PhaseChange.LAND if not commanded:

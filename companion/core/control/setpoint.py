@@ -1,4 +1,4 @@
-"""The setpoint of a tick: the acceleration of the phase as attitude and thrust, or a last level attitude before silence."""
+"""The setpoint of a tick: the acceleration of the phase as attitude and thrust, or a last braking one before silence."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from math import atan, cos, degrees, hypot, inf, sin, tan
 
 from msgspec import Struct
 
-from companion.core.autopilot import Profiles, profile_of
 from companion.core.consensus.kept_off import KeptOff, target
 from companion.core.consensus.law import FlownLaw, feedback, formation_state
 from companion.core.consensus.peers import PeerState
@@ -71,7 +70,6 @@ class SetpointStage:
         stream: SetpointStream,
         flown_for_s: float,
         drag_1_s: float,
-        profiles: Profiles,
     ) -> None:
         """Without `law_flies_altitude` the vehicle holds the altitude at which it came into formation.
 
@@ -85,7 +83,6 @@ class SetpointStage:
         self._stream = stream
         self._flown_for_s = flown_for_s
         self._drag_1_s = drag_1_s
-        self._profiles = profiles
         self._hold_altitude_m = 0.0
         self._separation = UNFILTERED  # what the filter reported with the last setpoint
         self._removed_m_s2 = 0.0  # from the acceleration that the law wants, by other vehicles
@@ -127,8 +124,8 @@ class SetpointStage:
                 self._separation, self._removed_m_s2 = safe.separation, safe.removed_accel_m_s2
                 allowed_enu_m_s2 = stream.checked(now_s, vehicle, fresh, safe.acceleration_enu_m_s2)
                 attitude_target = stream.follow(now_s, vehicle, allowed_enu_m_s2)
-        elif before.streams and self._listens_in_silence(vehicle):
-            attitude_target = stream.final_level_setpoint(now_s)
+        elif before.streams and vehicle.mode is OFFBOARD and carries(vehicle):
+            attitude_target = stream.last_before_silence(now_s, vehicle)
         rft = None
         # The RFT of before may be that of a peer in doubt, and followers would confirm it to each other.
         if phase is not FORMATION or consensus.peers.in_doubt:
@@ -247,11 +244,10 @@ class SetpointStage:
         attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.yaw_rad)
         observer.update(FlightSample(vehicle.position_time_s, vehicle.velocity_enu_m_s, attitude_rad, thrust_norm))
 
-    def _listens_in_silence(self, vehicle: VehicleState) -> bool:
-        """The autopilot still takes setpoints, and would go on with the last one."""
-        return vehicle.mode is OFFBOARD and profile_of(vehicle, self._profiles).flies_on_in_silence
 
-
+ENDS_AFTER_S = 0.06  # without a setpoint; a position that comes late after all is worth waiting for
+STOPS_IN_S = 1.5  # PX4's COM_OF_LOSS_T and ArduCopter's GUID_TIMEOUT are 0.6 to 2 s, with `companion doctor --fix` 1 s
+STOPS_M_S2 = 1.5  # at most: the velocity may have changed meanwhile
 ATTITUDE_FRESH_S = 0.1  # five periods of 50 Hz
 THRUST_FRESH_S = 0.3  # PX4 sends its thrust 10 times a second by default
 
@@ -272,7 +268,7 @@ class SetpointStream:
         self.largest_step_deg = 0.0
         self.position_used_s = -inf  # time of the newest position used for a setpoint
         self.sent_s = 0.0  # when the last setpoint was sent, or the stream opened
-        self._final_level_sent = False  # the last level setpoint before a silence was sent
+        self._ended = False  # the last setpoint before a silence was sent
         self.commanded_enu_m_s2 = ZERO3  # commanded by the last setpoint, without the part against the disturbance
         self.sent = AttitudeTarget(0.0, 0.0, 0.0, 0.0)  # the last setpoint
         self._yaw_rad = 0.0
@@ -319,16 +315,24 @@ class SetpointStream:
             return None
         return self._send(now_s, vehicle, (x + dx, y + dy, z + dz), target)
 
-    def final_level_setpoint(self, now_s: float) -> AttitudeTarget | None:
-        """Level, once in each silence, for an autopilot that goes on with the last setpoint."""
-        if self._final_level_sent:
+    def last_before_silence(self, now_s: float, vehicle: VehicleState) -> AttitudeTarget | None:
+        """Braking against the wind, once in each silence: an autopilot goes on with the last setpoint for a while.
+
+        What the vehicle flew a moment ago may have been an evasion. The velocity is the last one known.
+        """
+        if self._ended or now_s - self.sent_s < ENDS_AFTER_S:
             return None
-        self._final_level_sent = True
+        self._ended = True
+        (vx, vy, vz), (dx, dy, dz) = vehicle.velocity_enu_m_s, self.observer.disturbance_enu_m_s2
+        x, y, z = shortened((-vx / STOPS_IN_S, -vy / STOPS_IN_S, -vz / STOPS_IN_S), STOPS_M_S2)
+        limits, hover_thrust_norm = self._limits, self.observer.hover_thrust_norm
+        possible = limit_acceleration(
+            (x - dx, y - dy, z - dz), limits.max_tilt_rad, limits.min_thrust_ratio, limits.max_thrust_ratio
+        )
+        target = attitude_target(possible, self._yaw_rad, 0.0, 0.0, hover_thrust_norm)
         self.commanded_enu_m_s2 = ZERO3
-        hover_thrust_norm = self.observer.hover_thrust_norm
-        level = AttitudeTarget(0.0, 0.0, self._yaw_rad, hover_thrust_norm)
-        self._gate.open_at(now_s, level, hover_thrust_norm)  # no slew: no next setpoint will come closer
-        return self._gate.admit(now_s, level, hover_thrust_norm)
+        self._gate.open_at(now_s, target, hover_thrust_norm)  # no slew: no next setpoint will come closer
+        return self._gate.admit(now_s, target, hover_thrust_norm)
 
     def flown_acceleration_enu_m_s2(self, now_s: float, for_s: float) -> Vector3:
         """What the autopilot is believed to fly: the last setpoint goes on for a while over ticks that decide nothing."""
@@ -347,7 +351,7 @@ class SetpointStream:
         if step_deg > self.largest_step_deg:
             self.largest_step_deg = step_deg
         self.sent, self.sent_s, self.commanded_enu_m_s2 = target, now_s, acceleration_enu_m_s2
-        self._final_level_sent = False
+        self._ended = False
         return target
 
     def _as_it_flies(self, now_s: float, vehicle: VehicleState) -> AttitudeTarget:
@@ -400,6 +404,11 @@ def attitude_target(
     pitch = atan(ax * cos_yaw + ay * sin_yaw)
     roll = atan(cos(pitch) * (ax * sin_yaw - ay * cos_yaw))
     return AttitudeTarget(roll, pitch, yaw_rad, hover_thrust_norm * lift / (GRAVITY_M_S2 * vertical_share))
+
+
+def carries(vehicle: VehicleState) -> bool:
+    """Whether thrust carries the vehicle at its attitude."""
+    return cos(vehicle.roll_rad) * cos(vehicle.pitch_rad) > 0.0
 
 
 def level_acceleration(roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[float, float]:

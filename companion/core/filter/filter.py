@@ -29,6 +29,7 @@ from companion.core.filter.solver import (
     filter_acceleration,
     shortfalls,
 )
+from companion.core.filter.split import Split
 from companion.core.filter.vehicles import (
     ALONE_SHARE,
     Barrier,
@@ -80,6 +81,8 @@ class SafetyFilter:
         self._motions = Motions(
             settings.own_id, Silence(settings.fresh_s, 0.0, KEPT_S, settings.braking_m_s2, most_m_s)
         )
+        self._split = Split(settings.fresh_s, settings.braking_m_s2, gains)
+        self._behind_split: frozenset[int] = frozenset()  # vehicles by id
         self._separation = Separation(settings)
         self._pressure = Pressure(settings.separation_m)
         self.braking_alone_m_s2 = ALONE_SHARE * settings.braking_m_s2  # as a vehicle behind this one plans to brake
@@ -110,7 +113,11 @@ class SafetyFilter:
         """
         motions, separation = self._motions, self._separation
         ahead = motions.own(now_s, vehicle, flown_enu_m_s2)
-        others = motions.peers(now_s, vehicle, slot is not None, peers, fresh)
+        if len(fresh) < len(peers) or self._behind_split:
+            self._behind_split = self._split.step(now_s, vehicle, peers, fresh)
+            if self._behind_split and slot is not None:
+                wanted_enu_m_s2 = self._split.acceleration(now_s, vehicle)
+        others = motions.peers(now_s, vehicle, slot is not None, peers, fresh, self._behind_split)
         if self.traffic:
             others += traffic_nearby(now_s, vehicle, self.traffic)
         error = vehicle.position_error or NO_ERROR

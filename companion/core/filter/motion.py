@@ -39,6 +39,7 @@ KEPT_S = 1.0  # an autopilot without setpoints keeps its attitude for so long
 COAST_1_S = 0.25
 GROWS_S = 0.4  # in this time the region of a silent vehicle grows from the expected position to all its way
 DESCENT_M_S = 1.5  # speed of an autopilot landing: PX4 MPC_Z_V_AUTO_DN, more than its MPC_LAND_SPEED of 0.7
+KNOWS_S = 0.2  # from the split on; packets are late, and the attitude lags
 LANDS_S = 0.6  # PX4's smallest COM_OF_LOSS_T that the audit accepts (SHORTEST_TIMEOUT_S)
 AUTOPILOT_BRAKES_M_S2 = 5.0  # a hold or a stick that is let go: PX4 MPC_ACC_HOR_MAX
 PILOT_LEAPS_M = 0.2  # 0.3 s of 4 m/s^2: until others have heard of it and tilt themselves
@@ -67,6 +68,7 @@ class Silence(Struct, frozen=True, gc=False):
     kept_s: float
     braking_m_s2: float
     most_m_s: float = inf
+    coasts: bool = True
     lands: bool = True
     leaps_m: float = 0.0
 
@@ -80,8 +82,11 @@ def nearest_on_way(own: Ahead, last: Motion, age_s: float, ahead_s: float, silen
     """
     at_s, most_m_s = age_s + ahead_s, silence.most_m_s
     plausible = (last[0], shortened(last[1], most_m_s), last[2])
-    braked = _braking(plausible, at_s, silence.brakes_s, silence.braking_m_s2)
-    coasted = _coasting(plausible, at_s, silence.kept_s, most_m_s)
+    braked = braking(plausible, at_s, silence.brakes_s, silence.braking_m_s2)
+    if silence.coasts:
+        coasted = _coasting(plausible, at_s, silence.kept_s, most_m_s)
+    else:
+        coasted = braking(plausible, at_s, silence.kept_s, silence.braking_m_s2)
     part = (age_s - silence.begins_s) / GROWS_S
     if part < 1.0:
         expected = _expected(last, at_s)
@@ -120,7 +125,7 @@ def _expected(last: Motion, at_s: float) -> Motion:
     return there_enu_m, (vx + ax * at_s, vy + ay * at_s, vz + az * at_s), last[2]
 
 
-def _braking(last: Motion, at_s: float, brakes_s: float, braking_m_s2: float) -> Motion:
+def braking(last: Motion, at_s: float, brakes_s: float, braking_m_s2: float) -> Motion:
     """Straight on, then braking to a stop."""
     (x, y, z), (vx, vy, vz), _ = last
     speed_m_s = sqrt(vx * vx + vy * vy + vz * vz)
@@ -130,6 +135,8 @@ def _braking(last: Motion, at_s: float, brakes_s: float, braking_m_s2: float) ->
     stopped = braking_s >= stop_s
     if stopped:
         braking_s = stop_s
+    elif braking_s < 0.0:
+        brakes_s, braking_s = at_s, 0.0
     # Times at the first velocity, and shares of it.
     gone_s = brakes_s + braking_s - 0.5 * braking_s * braking_s / stop_s
     left = 0.0 if stopped else 1.0 - braking_s / stop_s
@@ -188,7 +195,9 @@ NO_ERROR = PositionError(0.0, 0.0)
 
 
 class Other(Struct, frozen=True, gc=False):
-    """Position and velocity `age_s` ago with the acceleration flown by the last command (`last`), and what it is.
+    """Position and velocity `age_s` ago with the acceleration flown by the commands so far (`last`), and what it is.
+
+    `commanded_enu_m_s2` is the last command: what it makes of its share is there before its attitude shows it.
 
     Under a pilot it is the acceleration that its attitude showed.
 
@@ -200,6 +209,7 @@ class Other(Struct, frozen=True, gc=False):
 
     key: int | str
     last: Motion
+    commanded_enu_m_s2: Vector3
     age_s: float
     silence: Silence | None
     error: PositionError
@@ -219,6 +229,8 @@ class Motions:
         # A vehicle that is leaving formation, in hold, landing or under a pilot: no command says what it flies next.
         self._on_its_own = Silence(-inf, 0.0, KEPT_S, AUTOPILOT_BRAKES_M_S2, silence.most_m_s, lands=False)
         self._piloted = replace(self._on_its_own, leaps_m=PILOT_LEAPS_M)
+        # Behind a split network, where it brakes as soon as it knows.
+        self._waiting = replace(silence, kept_s=silence.begins_s + KNOWS_S, coasts=False, lands=False)
         # Of one whose positions and velocities contradict each other only the position is used.
         self._in_doubt = replace(silence, begins_s=-inf, lands=False)
         self._own_enu_m_s2 = ZERO3
@@ -248,6 +260,7 @@ class Motions:
         cooperates: bool,
         peers: Mapping[int, PeerState],
         fresh: Mapping[int, PeerState],
+        behind_split: frozenset[int] = frozenset(),
     ) -> list[Other]:
         """The peers nearby. `cooperates`: this vehicle flies in formation, so peers expect its share."""
         elapsed_s, self._peers_s = now_s - self._peers_s, now_s
@@ -266,7 +279,7 @@ class Motions:
                 reaches_m_s = moving_enu_m_s if is_fresh else _reached_in_silence(moving_enu_m_s, acceleration)
                 if not _may_meet(vehicle, there_enu_m, reaches_m_s, age_s):
                     continue
-            last = before.get(peer_id)
+            last, command = before.get(peer_id), acceleration
             if last is not None and is_fresh and packet.phase is not OBSERVE:  # a pilot's is flown, not commanded
                 (lx, ly, lz), (ux, uy, uz) = last, acceleration
                 acceleration = (lx + lag_share * (ux - lx), ly + lag_share * (uy - ly), lz + lag_share * (uz - lz))
@@ -274,6 +287,8 @@ class Motions:
             silence: Silence | None = None  # it flies by the last command of its packet
             if age_s > begins_s:
                 silence = self._silence if packet.armed else self._silence_on_ground
+                if peer_id in behind_split:
+                    silence = self._waiting
             elif peer.contradicts:
                 silence = self._in_doubt
             elif packet.armed and packet.phase not in STREAMING:
@@ -282,6 +297,7 @@ class Motions:
             other = Other(
                 peer_id,
                 (there_enu_m, moving_enu_m_s, acceleration),
+                command,
                 age_s,
                 silence,
                 packet.position_error or NO_ERROR,
@@ -311,7 +327,7 @@ def traffic_nearby(now_s: float, vehicle: VehicleState, traffic: Mapping[str, Re
         if _may_meet(vehicle, *last[:2], age_s):
             error = PositionError(sample.error_m, sample.error_m)
             silence = TRAFFIC_SILENCE if age_s > TRAFFIC_EXTRAPOLATED_S else None
-            near.append(Other(name, last, age_s, silence, error, weight, None, makes_way=False, side=1.0))
+            near.append(Other(name, last, ZERO3, age_s, silence, error, weight, None, makes_way=False, side=1.0))
     return near
 
 

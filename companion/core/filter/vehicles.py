@@ -62,7 +62,7 @@ FASTEST_LEAVING_M_S = 1.5  # largest speed apart that is demanded inside the req
 TRACKING_M = 0.1
 LARGEST_ERROR_RATIO = 1.0  # position errors add at most this times separation_m; slots are 3 to 6 errors apart
 SLOT_SHARE = 0.5  # margins may take this share of what two slots are farther apart than separation_m
-PASSING_M = 0.15  # extra distance between two vehicles that pass each other on the way to their slots
+PASSING_M = 0.2  # extra distance between two vehicles that pass each other on the way to their slots
 PLACED_WITHIN_M = 0.5  # nearer than that to the offset of their slots, two vehicles do not pass each other
 GROWTH_M_S = 0.25  # the required distance from a silent vehicle grows at this rate
 LARGEST_GROWTH_RATIO = 0.5  # and by at most this times separation_m
@@ -128,8 +128,10 @@ class Separation:
         weight, slot_of_other = other.height_weight, other.slot
         if other.silence is None:
             ahead_s, ((px, py, pz), (vx, vy, vz), (ax, ay, az)) = other.age_s + LAG_S, other.last
+            command_enu_m_s2 = other.commanded_enu_m_s2
         else:
             ahead_s, ((px, py, pz), (vx, vy, vz), (ax, ay, az)) = 0.0, self._nearest_on_way(ahead, other, other.silence)
+            command_enu_m_s2 = (ax, ay, az)
         wx, wy, wz = wx - vx - ax * ahead_s, wy - vy - ay * ahead_s, (wz - vz - az * ahead_s) * weight
         rx, ry, rz = x - px - vx * ahead_s, y - py - vy * ahead_s, z - pz - vz * ahead_s
         sz = rz * weight
@@ -144,8 +146,7 @@ class Separation:
         across_m_s2 = (wx * wx + wy * wy + wz * wz - closing_m_s * closing_m_s) / (apart_m + NEAREST_M)
         if nz == 0.0 and apart_m <= self._close_m:
             across_m_s2 = 0.0  # the direction does not turn
-        mz = nz * weight
-        offset_enu_m = (rx, ry, rz)
+        mz, offset_enu_m = nz * weight, (rx, ry, rz)
         required_m = self._required(error, slot, other, offset_enu_m, mz)
         late_m, braking_m_s2 = UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0, self._braking_together_m_s2
         margins_m = required_m - self.separation_m
@@ -154,6 +155,8 @@ class Separation:
             if not other.makes_way:  # a pursuer is nearer than its last packet shows, even if it no longer approaches
                 late_m = max(late_m, PURSUED_S * (nx * vx + ny * vy + nz * vz * weight))
             late_m += RIPPLE_M + TRACKING_M
+        elif other.age_s > BELIEVED_S:
+            late_m += GROWTH_M_S * (other.age_s - BELIEVED_S)
         # p of a pair that turns about each other lags inside q; a closing vehicle is nearer than its late packet reports.
         required_m += TURNING_S2 * across_m_s2 + late_m
         margin_m = apart_m - required_m
@@ -161,7 +164,8 @@ class Separation:
         braking_m_s2 *= size
         allowed_m_s, slope_1_s = approach_speed(margin_m, braking_m_s2, SLOPE_1_S, FASTEST_LEAVING_M_S)
         least_m_s2 = RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2
-        towards_m_s2 = nx * ax + ny * ay + mz * az
+        ux, uy, uz = command_enu_m_s2
+        towards_m_s2 = nx * ux + ny * uy + mz * uz
         if other.age_s > BELIEVED_S and towards_m_s2 < 0.0:
             towards_m_s2 = 0.0
         own_m_s2 = least_m_s2 + towards_m_s2
@@ -171,10 +175,8 @@ class Separation:
                 own_m_s2 = 0.5 * least_m_s2
         elif margins_m > 0.0:
             allowed_m_s, slope_1_s = approach_speed(margin_m + margins_m, braking_m_s2, SLOPE_1_S, FASTEST_LEAVING_M_S)
-            least_m_s2 = (
-                RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2 + towards_m_s2
-            )
-            rank, without_margins = MARGIN, (nx, ny, mz, least_m_s2 / size, VEHICLE)
+            least_m_s2 = RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2
+            rank, without_margins = MARGIN, (nx, ny, mz, (least_m_s2 + towards_m_s2) / size, VEHICLE)
         constraint = (nx, ny, mz, own_m_s2 / size, rank)
         return Barrier(constraint, other, offset_enu_m, required_m, margin_m, without_margins)
 
@@ -237,7 +239,7 @@ class Separation:
             if isinstance(other.key, str):
                 most_m += error.horizontal_m + error.vertical_m * abs(upward)
             margin_m = min(margin_m, most_m)
-        if other.silence is not None:
+        if other.silence is not None and other.silence.coasts:
             silent_s = max(0.0, other.age_s - other.silence.kept_s)
             margin_m += min(silent_s * GROWTH_M_S, LARGEST_GROWTH_RATIO * separation_m) + other.silence.leaps_m
         required_m = separation_m + margin_m
@@ -248,9 +250,10 @@ class Separation:
         dx, dy, dz = x - ox, y - oy, z - oz
         ex, ey, ez = rx - dx, ry - dy, (rz - dz) * weight
         dz *= weight
+        allowance_m = SLOT_SHARE * abs(sqrt(dx * dx + dy * dy + dz * dz) - separation_m)
         if slot.moves_for_s > 0.0 or other.slot.moves_for_s > 0.0:
             required_m += TRACKING_M
-        allowance_m = SLOT_SHARE * abs(sqrt(dx * dx + dy * dy + dz * dz) - separation_m)
+            allowance_m = max(allowance_m, TRACKING_M)
         if ex * ex + ey * ey + ez * ez > PLACED_WITHIN_M * PLACED_WITHIN_M:
             passing_m = SLOT_SHARE * (sqrt(ex * ex + ey * ey + ez * ez) - PLACED_WITHIN_M)
             required_m += passing_m if passing_m < PASSING_M else PASSING_M

@@ -5,7 +5,7 @@ Here is also what is sent after a stage of the tick has failed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Set
 from math import inf, isfinite
 
 from msgspec import Struct
@@ -93,6 +93,8 @@ class SafeguardStage:
         self._late_s = -inf  # when a tick was last late
         self._slow_s = -inf  # when the law last took too long
         self._doubted_s: dict[int, float] = {}  # when each peer was last in doubt
+        # When the flight ended with the mode unknown, or telemetry was last late after that.
+        self._gave_up_s: float | None = None
 
     def step(
         self,
@@ -126,6 +128,8 @@ class SafeguardStage:
             requests += self._end_silent_formation(now_s, vehicle, flight, active)
         elif active.action in PHASE_CHANGES:
             requests += self._carry_out(vehicle, flight, consensus, active)
+        if self._gave_up_s is not None:
+            requests += self._hold_after_all(now_s, vehicle, flight, flags)
         if not flags and not requests and active is NONE_ACTIVE:
             return SAFE
         events = [named_notice(flag, vehicle, consensus, separation) for flag in active.warnings]
@@ -182,9 +186,25 @@ class SafeguardStage:
         reason = reason.about(f"no setpoint for {SILENT_TOO_LONG_S} s")
         (step,) = BY_CONDITION[Code.NO_SETPOINT].steps_of(profile_of(vehicle, self._profiles))
         holds = step.action is FailsafeAction.HOLD and now_s - vehicle.mode_time_s < MODE_SURE_S
+        self._gave_up_s = None if holds else now_s
         return [PhaseRequest(PhaseChange.HAND_OVER_NOW if holds else PhaseChange.GIVE_UP, reason), end]
 
+    def _hold_after_all(
+        self, now_s: float, vehicle: VehicleState, flight: Flight, flags: Set[HealthFlag]
+    ) -> list[PhaseRequest]:
+        """A hold once the mode is known again and still the one for setpoints: no pilot has taken over, and it drifts."""
+        if flight.phase in STREAMING or not flags.isdisjoint(UNSEEN):
+            self._gave_up_s = now_s
+        elif flight.phase is not FlightPhase.OBSERVE or vehicle.mode is not AutopilotMode.OFFBOARD:
+            self._gave_up_s = None
+        elif self._gave_up_s is not None and vehicle.mode_time_s > self._gave_up_s:
+            self._gave_up_s = None
+            return [PhaseRequest(PhaseChange.HOLD, STILL_WAITS)]
+        return []
 
+
+UNSEEN = {HealthFlag.POSITION_STALE, HealthFlag.ATTITUDE_STALE, HealthFlag.MODE_STALE}
+STILL_WAITS = Notice(Code.NO_SETPOINT, "telemetry is in time again, and the autopilot still waits for setpoints")
 NOTHING_TO_DECIDE_ON = Notice(Code.NO_SETPOINT, "no new position to decide on")
 PHASE_CHANGES = (FailsafeAction.HOLD, FailsafeAction.RETURN, FailsafeAction.LAND)
 

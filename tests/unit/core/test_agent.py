@@ -12,6 +12,7 @@ from companion.config.fleet import FleetConfig, FormationMember
 from companion.config.law import LawSection
 from companion.config.reference import Figure8Reference, PointReference
 from companion.core.command.hand_over import BRAKES_WITHIN_S, LEVEL_BEFORE_HAND_OVER_S, TAKES_OVER_WITHIN_S
+from companion.core.control.setpoint import STOPS_IN_S, level_acceleration
 from companion.types.autopilot import (
     AttitudeSample,
     AttitudeTarget,
@@ -108,14 +109,20 @@ def test_the_hand_over_begins_level_and_steps_little() -> None:
     assert 0.0 < max(steps) <= 400.0 * 0.02 * 3.1416 / 180.0 + 1e-9
 
 
+ENDS_AFTER_TICKS = 4  # ENDS_AFTER_S of 20 ms each
+
+
 @pytest.mark.parametrize("ticks", [1, 5, 20])
 def test_no_setpoint_is_sent_without_a_fresh_state(ticks: int) -> None:
     flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     before = len(flight.targets)
     for _ in range(ticks):
         flight.tick(telemetry=[])
-    assert len(flight.targets) == before
+    # The autopilot goes on with the last setpoint for a while: it ends no evasion, but level.
+    assert len(flight.targets) - before == (ticks >= ENDS_AFTER_TICKS)
+    assert flight.targets[-1].roll_rad == flight.targets[-1].pitch_rad == 0.0
     assert flight.agent.phase is FlightPhase.FORMATION
+    before = len(flight.targets)
     flight.tick()
     assert len(flight.targets) == before + 1
 
@@ -123,7 +130,7 @@ def test_no_setpoint_is_sent_without_a_fresh_state(ticks: int) -> None:
 @pytest.mark.parametrize(("age_s", "setpoints"), [(0.0, 1), (0.039, 1), (0.041, 0)])
 def test_no_setpoint_is_sent_from_a_position_older_than_40_ms(age_s: float, setpoints: int) -> None:
     flight = AgentFlight().fly_to(FlightPhase.FORMATION)
-    for _ in range(3):
+    for _ in range(ENDS_AFTER_TICKS):
         flight.tick(telemetry=[])
     before, came_s = len(flight.targets), flight.now_s + 0.02 - age_s
     flight.tick(telemetry=[PositionSample(came_s, came_s - 100.0 + flight.boot_s, flight.position, flight.velocity)])
@@ -140,6 +147,33 @@ def test_the_stream_stays_ended_after_a_long_silence() -> None:
     for _ in range(50):
         flight.tick()
     assert len(flight.targets) == before
+    # No pilot has taken over, and an autopilot that still waits for setpoints drifts.
+    assert flight.agent.phase is FlightPhase.HOLD
+    assert flight.mode is AutopilotMode.HOLD
+
+
+def test_a_pilot_who_took_over_in_a_long_silence_keeps_the_vehicle() -> None:
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
+    for _ in range(30):
+        flight.tick(telemetry=[])
+    flight.mode = AutopilotMode.OTHER
+    for _ in range(50):
+        flight.tick()
+    assert flight.agent.phase is FlightPhase.OBSERVE
+    assert flight.mode is AutopilotMode.OTHER
+
+
+def test_the_last_setpoint_before_a_silence_brakes() -> None:
+    """An autopilot goes on with it for a while: an evasion would go on, too."""
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
+    flight.velocity = (1.2, 0.0, 0.0)
+    flight.tick()
+    for _ in range(ENDS_AFTER_TICKS):
+        flight.tick(telemetry=[])
+    last = flight.targets[-1]
+    east_m_s2, north_m_s2 = level_acceleration(last.roll_rad, last.pitch_rad, last.yaw_rad)
+    assert east_m_s2 == pytest.approx(-1.2 / STOPS_IN_S, abs=0.05)
+    assert north_m_s2 == pytest.approx(0.0, abs=0.05)
 
 
 def test_no_setpoint_is_sent_when_upside_down() -> None:
@@ -162,7 +196,7 @@ def test_no_setpoint_is_sent_from_invalid_telemetry(bad: float) -> None:
     flight.position = (bad, 0.0, 1.0)
     for _ in range(10):
         flight.tick()
-    assert len(flight.targets) == before
+    assert len(flight.targets) == before + 1  # the last, level one
     assert flight.outbox.peer_packet is not None
     assert flight.outbox.peer_packet.motion.position_enu_m == (-1.5, 0.0, 1.0)
 

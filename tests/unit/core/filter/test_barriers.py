@@ -40,6 +40,7 @@ def other(
     known = Other(
         key=2,
         last=(position_enu_m, velocity_enu_m_s, acceleration_enu_m_s2),
+        commanded_enu_m_s2=acceleration_enu_m_s2,
         age_s=0.0,
         silence=None,
         error=NO_ERROR,
@@ -143,10 +144,30 @@ def test_of_two_that_cooperate_each_takes_half_or_what_the_other_leaves_open() -
     assert found.constraint == pytest.approx((1.0, 0.0, 0.0, 0.5 * least, Rank.VEHICLE))
     assert found.constraint_without_margins is None
     for comes_m_s2, share in ((-5.0, 0.5), (5.0, None)):  # one that flees takes no more than its half off
-        turned = replace(together, last=(ZERO3, (0.5 - 0.2 * comes_m_s2, 0.0, 0.0), (comes_m_s2, 0.0, 0.0)))
+        moves: Vector3 = (0.5 - 0.2 * comes_m_s2, 0.0, 0.0)
+        turned = replace(
+            together, last=(ZERO3, moves, (comes_m_s2, 0.0, 0.0)), commanded_enu_m_s2=(comes_m_s2, 0.0, 0.0)
+        )
         now = barrier(Ahead((4.0 - 0.04 * comes_m_s2, 0.0, 0.0), (-1.5, 0.0, 0.0)), turned, slot)
         expected = 0.5 * least if share else least + comes_m_s2
         assert now.constraint[3] == pytest.approx(expected)
+
+
+def test_of_two_that_cooperate_the_command_of_the_other_counts_before_its_attitude_shows_it() -> None:
+    """Else both do all of it, until each sees the other tilt: a pair that presses each other would swing."""
+    own, slot = Ahead((4.0, 0.0, 0.0), (-1.5, 0.0, 0.0)), FlownSlot((4.0, 0.0, 0.0))
+    still = other(ZERO3, (0.5, 0.0, 0.0), slot=FlownSlot(ZERO3), makes_way=True)
+    comes = replace(still, commanded_enu_m_s2=(5.0, 0.0, 0.0))
+    asked, more = (barrier(own, one, slot) for one in (still, comes))
+    assert more.constraint[3] == pytest.approx(2.0 * asked.constraint[3] + 5.0)
+    assert more.margin_m == asked.margin_m
+
+
+def test_between_its_last_packet_in_time_and_silence_a_vehicle_in_formation_is_kept_farther_away() -> None:
+    own, slot = Ahead((4.0, 0.0, 0.0), ZERO3), FlownSlot((4.0, 0.0, 0.0))
+    late = [other(ZERO3, slot=FlownSlot(ZERO3), makes_way=True, age_s=age_s) for age_s in (0.1, 0.3)]
+    in_time_m, late_m = (barrier(own, one, slot).required_m for one in late)
+    assert late_m - in_time_m == pytest.approx(0.25 * 0.2)
 
 
 def test_a_turn_away_is_believed_for_a_tenth_of_a_second() -> None:
@@ -158,7 +179,8 @@ def test_a_turn_away_is_believed_for_a_tenth_of_a_second() -> None:
         found.append(barrier(moved, replace(flees, age_s=age_s)).constraint[3])
     assert found[1] - found[0] == pytest.approx(2.0, abs=0.01)
     for comes_m_s2 in (2.0, 0.5):
-        comes = replace(flees, last=(ZERO3, (0.5, 0.0, 0.0), (comes_m_s2, 0.0, 0.0)))
+        flown: Vector3 = (comes_m_s2, 0.0, 0.0)
+        comes = replace(flees, last=(ZERO3, (0.5, 0.0, 0.0), flown), commanded_enu_m_s2=flown)
         believed = [barrier(own, replace(comes, age_s=age_s)).constraint[3] for age_s in (0.1, 0.1001)]
         assert believed[1] == pytest.approx(believed[0], abs=0.01)
 
@@ -272,8 +294,8 @@ def test_moving_slots_get_room_for_late_tracking() -> None:
         ((0.0, 0.6, 0.0), 1.0, 0.05),
         ((-0.3, 0.4, 0.2), 1.0, 0.5 * (sqrt(0.29) - 0.5)),
         ((0.0, 0.0, -1.2), 0.5, 0.05),
-        ((0.0, 0.9, 0.0), 1.0, 0.15),
-        ((0.0, 5.0, 0.0), 1.0, 0.15),
+        ((0.0, 0.9, 0.0), 1.0, 0.2),
+        ((0.0, 5.0, 0.0), 1.0, 0.2),
     ],
 )
 def test_vehicles_that_are_not_placed_as_their_slots_get_room_to_pass(

@@ -207,7 +207,9 @@ def test_what_is_known_of_a_peer_in_formation() -> None:
     peer = replace(peer, packet=replace(peer.packet, slot=slot))
     (found,) = near(peer)
     motion: Motion = ((2.0, 2.0, 3.0), peer.packet.motion.velocity_enu_m_s, (1.0, 0.0, 0.0))
-    assert found == Other(7, motion, pytest.approx(0.1), None, error, 0.5, slot, makes_way=True, side=1.0)
+    assert found == Other(
+        7, motion, (1.0, 0.0, 0.0), pytest.approx(0.1), None, error, 0.5, slot, makes_way=True, side=1.0
+    )
     (other,) = near(heard(1, (2.0, 2.0, 3.0), armed=False))
     assert (other.side, other.height_weight, other.error) == (-1.0, 1.0, NO_ERROR)
     (alone,) = near(peer, cooperates=False)
@@ -311,7 +313,8 @@ def traffic(position_enu_m: Vector3, age_s: float = 0.0, **changes: object) -> R
 def test_what_is_known_of_traffic() -> None:
     (found,) = traffic_nearby(10.0, OWN, {"crane": traffic((4.0, 2.0, 3.0), 0.25)})
     motion: Motion = ((4.0, 2.0, 3.0), (2.0, -1.0, 0.5), ZERO3)
-    assert found == Other("crane", motion, 0.75, None, PositionError(0.7, 0.7), 0.5, None, makes_way=False, side=1.0)
+    error = PositionError(0.7, 0.7)
+    assert found == Other("crane", motion, ZERO3, 0.75, None, error, 0.5, None, makes_way=False, side=1.0)
     (unknown,) = traffic_nearby(10.0, OWN, {"crane": traffic((4.0, 2.0, 900.0), height="unknown")})
     assert unknown.last == ((4.0, 2.0, 3.0), (2.0, -1.0, 0.0), ZERO3)
     assert unknown.height_weight == 0.0

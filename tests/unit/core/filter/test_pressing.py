@@ -23,6 +23,7 @@ def other(apart_m: float, key: int | str = 2, **changes: object) -> Other:
     one = Other(
         key=key,
         last=((-apart_m, 0.0, 0.0), ZERO3, ZERO3),
+        commanded_enu_m_s2=ZERO3,
         age_s=0.0,
         silence=None,
         error=PositionError(0.0, 0.0),

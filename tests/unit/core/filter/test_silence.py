@@ -63,6 +63,25 @@ def test_the_attitude_is_kept_at_first() -> None:
     assert velocity == pytest.approx((4.0, 1.8, 0.0))
 
 
+def test_a_vehicle_behind_a_split_stops_as_soon_as_it_knows() -> None:
+    """At 4 m/s it flies on for half a second, then brakes with 2 m/s^2: it does not coast."""
+    waits = replace(PEER, kept_s=0.5, coasts=False)
+    (on_m, _, _), speed, _ = nearest(FAR_AHEAD, EAST, 0.45, waits)
+    assert (on_m, speed[0]) == (pytest.approx(1.8), pytest.approx(4.0, abs=0.4))
+    assert nearest(FAR_AHEAD, EAST, 9.0, waits) == (pytest.approx((6.0, 0.0, 5.0)), ZERO3, ZERO3)
+    assert nearest(FAR_BEHIND, EAST, 9.0, waits)[0] == pytest.approx((4.0, 0.0, 5.0))
+
+
+def test_of_a_vehicle_behind_a_split_no_landing_is_expected() -> None:
+    last, vehicle = peer(1), VehicleState(position_enu_m=(20.0, 0.0, 5.0), position_time_s=NOW_S)
+    known = {1: PeerState(last.packet, NOW_S - 2.0, NOW_S - 2.0, NOW_S - 2.0)}
+    (alone,) = Motions(2, PEER).peers(NOW_S, vehicle, True, known, {})
+    (split,) = Motions(2, PEER).peers(NOW_S, vehicle, True, known, {}, frozenset({1}))
+    assert alone.silence is not None and alone.silence.lands and alone.silence.coasts
+    assert split.silence is not None and not split.silence.lands and not split.silence.coasts
+    assert split.silence.kept_s == pytest.approx(PEER.begins_s + 0.2)
+
+
 def test_a_vehicle_at_rest_stays_where_it_is() -> None:
     resting: Motion = ((0.0, 0.0, 5.0), ZERO3, ZERO3)
     assert nearest((4.0, 2.0, 7.0), resting, 500.0) == resting

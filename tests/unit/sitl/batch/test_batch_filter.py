@@ -35,7 +35,8 @@ class States:
         self.scenario, self.columns = scenario, columns_of([scenario])
         now = np.concatenate([self.vectors(SPREAD_M), self.vectors(SPREAD_M_S)])
         self.moving = Moving(now, now[:3] + 0.2 * now[3:], now[3:] + 0.2 * self.vectors(SPREAD_M_S2))
-        last = np.concatenate([self.vectors(SPREAD_M), self.vectors(SPREAD_M_S), self.vectors(SPREAD_M_S2)])
+        spreads = (SPREAD_M, SPREAD_M_S, SPREAD_M_S2, SPREAD_M_S2)
+        last = np.concatenate([self.vectors(spread) for spread in spreads])
         last[:3] += self.random.choice([0.0, 3.0], COUNT)
         self.own, self.other = self.columns.column_of[:2].tolist()
         self.pairs = Pairs(
@@ -70,8 +71,10 @@ class States:
         for q, w, last, age_s in zip(
             moving.position_enu_m.T, moving.velocity_enu_m_s.T, pairs.last.T, pairs.age_s, strict=True
         ):
-            motion = (vector(last[:3]), vector(last[3:6]), vector(last[6:]))
-            other = Other(2, motion, age_s, None, error, HEIGHT_WEIGHT, slots[self.other], makes_way=True, side=1.0)
+            motion, slot = (vector(last[:3]), vector(last[3:6]), vector(last[6:9])), slots[self.other]
+            other = Other(
+                2, motion, vector(last[9:]), age_s, None, error, HEIGHT_WEIGHT, slot, makes_way=True, side=1.0
+            )
             barriers.append(separation.barrier(Ahead(vector(q), vector(w)), error, slots[self.own], other))
         return barriers
 
@@ -103,7 +106,8 @@ def test_only_what_surely_asks_nothing_is_left_out(overrides: tuple[str, ...]) -
     received = ReceivedPackets(
         np.zeros((COUNT, 1), dtype=np.int64), np.ones((COUNT, 1), np.bool_), pairs.age_s[:, None]
     )
-    motions = np.concatenate([pairs.last[:6], np.linalg.norm(pairs.last[6:], axis=0)[None]])[:, :, None]
+    flown_m_s2 = np.maximum(np.linalg.norm(pairs.last[6:9], axis=0), np.linalg.norm(pairs.last[9:], axis=0))
+    motions = np.concatenate([pairs.last[:6], flown_m_s2[None]])[:, :, None]
     heard = Heard(1000, received, motions, all_formed=True)
     many = states.many()
     separation = BatchSeparation(many, columns_of(many), np.zeros((3, COUNT)))

@@ -268,6 +268,12 @@ def test_overrides_are_yaml_values_at_their_keys() -> None:
     assert scenario.stand_in.parameters == {"COM_OF_LOSS_T": 0.5}
 
 
+def test_a_reference_of_a_fleet_whose_turning_slots_need_all_tilt_is_refused_in_words() -> None:
+    circle = "{kind: circle, centre_enu_m: [0, 0, 3], radius_m: 10, clockwise: false, period_s: 600, ramp_s: 80}"
+    text = error_of("fleet.formation_heading=course", "fleet.envelope.max_tilt_deg=5", f"reference={circle}")
+    assert "fleet.envelope.max_tilt_deg: 5 is no more than what slots need that turn" in text
+
+
 def test_a_later_override_wins_and_whole_sections_can_be_set() -> None:
     overrides = ["fleet.neighbours={kind: range, range_m: 3}", "fleet.neighbours.range_m=4"]
     assert load_scenario(PLATOON, overrides).fleet.neighbours == RangeNeighbours(range_m=4.0)

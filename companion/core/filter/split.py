@@ -1,0 +1,77 @@
+"""What a vehicle flies while the network is split: it brakes straight and stays, as the others expect of it.
+
+Of two vehicles that do not hear each other each keeps off all that the other one may fly. An evasion is not among that: where
+both evade, neither is where the other one believes it to be. One silent vehicle has lost its agent or its radio, and the
+others hear each other: they evade. Where several fall silent at once, agents live on both sides of a split network. All of
+them brake at once then, on a straight line, and wait; that needs less room than any evasion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import dist, inf
+
+from companion.core.consensus.law import feedback
+from companion.core.consensus.peers import PeerState
+from companion.core.filter.motion import Motion, braking
+from companion.types.autopilot import VehicleState
+from companion.types.flight import FlightPhase
+from companion.types.formation import Gains
+from companion.types.values import ZERO3, Vector3
+
+FORMATION = FlightPhase.FORMATION
+SEVERAL = 2  # silent vehicles at once
+AT_ONCE_S = 1.0  # between the last packets of vehicles that fall silent at once
+NEAR_M = 12.0  # of the last position; farther away a vehicle matters to no evasion
+WAITS_S = 30.0  # from the last packet on; for how long a vehicle waits that nobody ends by command
+
+
+class Split:
+    """Finds that the network is split near this vehicle, and brakes it straight until it is whole again."""
+
+    def __init__(self, silent_s: float, braking_m_s2: float, gains: Gains) -> None:
+        self._silent_s = silent_s
+        self._braking_m_s2 = braking_m_s2
+        self._gains = gains
+        self._ids: frozenset[int] = frozenset()  # the vehicles behind the split
+        self._from: Motion = (ZERO3, ZERO3, ZERO3)
+        self._since_s = -inf
+
+    def step(
+        self, now_s: float, vehicle: VehicleState, peers: Mapping[int, PeerState], fresh: Mapping[int, PeerState]
+    ) -> frozenset[int]:
+        """The ids of the vehicles behind a split."""
+        ids = self._behind(now_s, vehicle, {i: peer for i, peer in peers.items() if i not in fresh})
+        if ids and not self._ids:
+            self._since_s = now_s
+            self._from = (vehicle.position_enu_m, vehicle.velocity_enu_m_s, ZERO3)
+        self._ids = ids
+        return ids
+
+    def _behind(self, now_s: float, vehicle: VehicleState, silent: Mapping[int, PeerState]) -> frozenset[int]:
+        heard_s = {
+            i: peer.measured_s
+            for i, peer in silent.items()
+            if self._silent_s < now_s - peer.measured_s < WAITS_S
+            and peer.packet.phase is FORMATION
+            and (i in self._ids or dist(peer.packet.motion.position_enu_m, vehicle.position_enu_m) < NEAR_M)
+        }
+        if self._ids.isdisjoint(heard_s):
+            last_s = max(heard_s.values(), default=-inf)
+            heard_s = {i: time_s for i, time_s in heard_s.items() if last_s - time_s < AT_ONCE_S}
+            if len(heard_s) < SEVERAL:
+                return frozenset()
+        return frozenset(heard_s)
+
+    def acceleration(self, now_s: float, vehicle: VehicleState) -> Vector3:
+        """Along the straight line to where it stops, then back to that place; m/s^2 in ENU."""
+        there, moving, slowing = braking(self._from, now_s - self._since_s, 0.0, self._braking_m_s2)
+        (x, y, z), (px, py, pz), (vx, vy, vz), (wx, wy, wz) = (
+            vehicle.position_enu_m,
+            there,
+            vehicle.velocity_enu_m_s,
+            moving,
+        )
+        ax, ay, az = feedback(self._gains, (x - px, y - py, z - pz), (vx - wx, vy - wy, vz - wz))
+        sx, sy, sz = slowing
+        return (ax + sx, ay + sy, az + sz)

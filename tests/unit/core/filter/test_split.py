@@ -1,0 +1,94 @@
+"""What a vehicle flies while the network is split."""
+
+from __future__ import annotations
+
+import pytest
+
+from common import NOW_S, peer
+from companion.core.consensus.peers import PeerState
+from companion.core.filter.split import AT_ONCE_S, NEAR_M, WAITS_S, Split
+from companion.types.autopilot import VehicleState
+from companion.types.flight import FlightPhase
+from companion.types.formation import Gains
+
+FRESH_S, BRAKING_M_S2 = 0.3, 2.0
+OWN = peer(2).packet.motion.position_enu_m
+EAST = VehicleState(position_enu_m=OWN, velocity_enu_m_s=(1.0, 0.0, 0.0), position_time_s=NOW_S)
+
+
+def silent(vehicle_id: int, for_s: float, **changes: object) -> PeerState:
+    heard_s = NOW_S - for_s
+    return PeerState(peer(vehicle_id, **changes).packet, heard_s, heard_s, heard_s)  # type: ignore[arg-type]
+
+
+def split() -> Split:
+    return Split(FRESH_S, BRAKING_M_S2, Gains(2.0, 2.4))
+
+
+def behind(*peers: PeerState) -> frozenset[int]:
+    """The vehicles that a new `Split` finds behind the split; `peers` are those that are silent."""
+    return split().step(NOW_S, EAST, {one.packet.sender.vehicle_id: one for one in peers}, {})
+
+
+def test_vehicles_that_fall_silent_at_once_are_behind_a_split() -> None:
+    assert behind(silent(1, 0.35), silent(3, 0.5)) == {1, 3}
+
+
+def test_one_silent_vehicle_has_lost_its_agent() -> None:
+    assert behind(silent(1, 0.35)) == frozenset()
+
+
+def test_vehicles_that_fell_silent_one_after_the_other_are_behind_no_split() -> None:
+    assert behind(silent(1, 0.35), silent(3, 0.4 + AT_ONCE_S)) == frozenset()
+
+
+def test_a_vehicle_whose_packet_is_merely_late_does_not_count() -> None:
+    assert behind(silent(1, 0.35), silent(3, FRESH_S)) == frozenset()
+
+
+def test_vehicles_far_away_do_not_count() -> None:
+    x, y, z = OWN
+    far = silent(3, 0.35, position_enu_m=(x, y + NEAR_M + 0.1, z))
+    assert behind(silent(1, 0.35), far) == frozenset()
+
+
+def test_a_vehicle_that_its_autopilot_flies_does_not_count() -> None:
+    assert behind(silent(1, 0.35), silent(3, 0.35, phase=FlightPhase.HOLD)) == frozenset()
+
+
+def test_a_split_lasts_until_all_are_heard_again() -> None:
+    of_both = split()
+    silent_ones = {1: silent(1, 0.35), 3: silent(3, 0.35)}
+    assert of_both.step(NOW_S, EAST, silent_ones, {}) == {1, 3}
+    heard = silent_ones | {1: peer(1)}
+    assert of_both.step(NOW_S, EAST, heard, {1: heard[1]}) == {3}
+    heard |= {3: peer(3)}
+    assert of_both.step(NOW_S, EAST, heard, heard) == frozenset()
+
+
+def test_nobody_waits_for_ever() -> None:
+    of_both = split()
+    silent_ones = {1: silent(1, 0.35), 3: silent(3, 0.35)}
+    assert of_both.step(NOW_S, EAST, silent_ones, {})
+    assert not of_both.step(NOW_S + WAITS_S, EAST, silent_ones, {})
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.2, 0.49])
+def test_the_vehicle_brakes_on_a_straight_line(after_s: float) -> None:
+    """From 1 m/s with 2 m/s^2: 0.25 m in half a second."""
+    waiting = split()
+    assert waiting.step(NOW_S, EAST, {1: silent(1, 0.35), 3: silent(3, 0.35)}, {})
+    (x, y, z), left_m_s = OWN, 1.0 - BRAKING_M_S2 * after_s
+    gone_m = after_s * (1.0 + left_m_s) / 2.0
+    on_time = VehicleState(position_enu_m=(x + gone_m, y, z), velocity_enu_m_s=(left_m_s, 0.0, 0.0))
+    assert waiting.acceleration(NOW_S + after_s, on_time) == pytest.approx((-BRAKING_M_S2, 0.0, 0.0), abs=1e-9)
+
+
+def test_the_vehicle_stays_where_it_has_stopped() -> None:
+    waiting = split()
+    assert waiting.step(NOW_S, EAST, {1: silent(1, 0.35), 3: silent(3, 0.35)}, {})
+    x, y, z = OWN
+    at_rest = VehicleState(position_enu_m=(x + 0.25, y, z))
+    assert waiting.acceleration(NOW_S + 5.0, at_rest) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    pushed = VehicleState(position_enu_m=(x + 0.25, y + 0.5, z))
+    assert waiting.acceleration(NOW_S + 5.0, pushed)[1] < 0.0
