@@ -14,6 +14,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from companion.config.values import PositionM, Section, VehicleId
+from companion.geometry.frames import wrap_pi
 from companion.geometry.vectors import minus, plus, scaled
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
@@ -21,7 +22,9 @@ from companion.types.peers import LostVehicle, PeerPacket
 from companion.types.values import ZERO3, Vector3
 
 Vectors = Literal["position", "velocity", "acceleration", "slot", "rft", "law_values"]
-Numbers = Literal["prc", "epoch", "claim", "stamp", "mission_time", "sequence", "age", "sent", "error", "formation"]
+Numbers = Literal[
+    "prc", "epoch", "claim", "stamp", "mission_time", "heading", "sequence", "age", "sent", "error", "formation"
+]
 Words = Literal["phase", "leader", "disarmed", "lost"]
 State = tuple[Vector3, Vector3, Vector3]
 LOST_AGE_S = 5.0
@@ -36,7 +39,7 @@ class Lie(Section, frozen=True):
         `swing`: to and fro once in `over_s`; `mirror`: the way since the beginning, or the vector, is reversed;
         `chase`: a position that comes to that of vehicle `other` plus `by_enu` within `over_s`; `frozen`: as at the beginning
     by_enu: error of a vector (m, m/s, m/s2)
-    by: error of a number (s, m, ms of the stamp)
+    by: error of a number (s, m, rad, ms of the stamp)
     over_s: as the kind says; the velocity agrees with a position that drifts, swings, chases or is mirrored
     other: the other vehicle of `chase` and `lost`
     phase: the phase that it says
@@ -211,6 +214,15 @@ def _of_beacon(name: str) -> _Says:
     return says
 
 
+def _heading(packet: PeerPacket, told: Told) -> PeerPacket:
+    """Of the formation, in the beacon; turned at once."""
+    beacon = packet.leader.beacon
+    if beacon is None:
+        return packet
+    turned = replace(beacon.heading, angle_rad=wrap_pi(beacon.heading.angle_rad + told.lie.by * told.share[0]))
+    return replace(packet, leader=replace(packet.leader, beacon=replace(beacon, heading=turned)))
+
+
 def _error(packet: PeerPacket, told: Told) -> PeerPacket:
     error_m = max(0.0, told.lie.by * told.share[0])
     return replace(packet, position_error=PositionError(error_m, error_m))
@@ -248,6 +260,7 @@ _OF: Mapping[str, _Says] = {
     "claim": _of_beacon("claim"),
     "stamp": _of_beacon("stamp"),
     "mission_time": _of_beacon("reference_s"),
+    "heading": _heading,
     "sequence": _of_part("sender", "sequence"),
     "age": _of_part("motion", "state_age_s"),
     "sent": _of_part("motion", "sent_s"),

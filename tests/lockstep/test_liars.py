@@ -63,6 +63,23 @@ def test_two_liars_are_both_named() -> None:
     assert flight.is_named(4)
 
 
+def test_what_the_leader_says_itself_counts_before_what_a_liar_passes_on_of_it() -> None:
+    """Beacons with a stamp 0.25 s ahead made the leader's own ones old: without it, all held for lack of a leader."""
+    flight = LiarsFlight()
+    said = len(flight.events)
+    flight.lie(
+        Lie(vehicle=3, says="stamp", by=250.0),
+        Lie(vehicle=3, says="heading", by=1.5, kind="jump"),
+        Lie(vehicle=3, says="mission_time", by=9.0),
+    )
+    flight.go_on(3.0)
+    flight.lie()
+    flight.go_on(1.5)
+    assert {status.phase for status in flight.newest.values()} == {FlightPhase.FORMATION}
+    assert max(flight.errors_m().values()) < 0.1
+    assert not [text for _, text in flight.events[said:] if "leader" in text]
+
+
 def test_nobody_follows_a_revoked_liar_after_a_second() -> None:
     """What is revoked is not received any more: `companion/link/fleet`."""
     flight = LiarsFlight()

@@ -8,7 +8,7 @@ import pytest
 from common import with_fields
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
-from companion.types.formation import FlownSlot, LeaderBeacon
+from companion.types.formation import FlownSlot, Heading, LeaderBeacon
 from companion.types.peers import LeaderReport, LostVehicle, Motion, PeerPacket, Sender
 from companion.types.values import ZERO3
 from sitl.links.network import Network
@@ -173,6 +173,7 @@ LIES: dict[str, tuple[dict[str, Any], str, object]] = {
     "claim": ({"by": 1.0}, "beacon", LeaderBeacon(2, 0, 100, claim=1)),
     "stamp": ({"by": -500.0}, "beacon", LeaderBeacon(2, 0, 0)),
     "mission_time": ({"kind": "drift", "by": 4.0, "over_s": 2.0}, "beacon", LeaderBeacon(2, 0, 100, 3.0)),
+    "heading": ({"by": 0.5}, "beacon", LeaderBeacon(2, 0, 100, heading=Heading(0.5))),
     "leader": ({}, "beacon", LeaderBeacon(1, 1, 100)),
     "sequence": ({"kind": "frozen"}, "sequence", 1),
     "age": ({"by": 0.25}, "state_age_s", 0.25),
