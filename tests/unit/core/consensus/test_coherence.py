@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from math import cos, hypot, sin
+from collections.abc import Callable, Iterable
+from math import cos, hypot, nan, sin
 from random import Random
+from typing import Any
 
 import pytest
 
 from common import AT_REST, with_fields
 from companion.core.consensus.coherence import Coherence, coherent
 from companion.core.consensus.peers import PeerTable
-from companion.types.flight import FlightPhase
+from companion.types.flight import FlightPhase, Role
+from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import ReceivedPeerPacket
 from companion.types.values import ZERO3, Vector3
@@ -164,3 +166,53 @@ def test_an_honest_peer_is_fresh_and_as_it_was_sent() -> None:
     assert fresh.keys() == present.keys() == {2}
     assert table.in_doubt(now_s) == ()
     assert table.known[2].packet.motion.velocity_enu_m_s == circling(SECOND - 1)[1]
+
+
+def received(packets: Iterable[ReceivedPeerPacket]) -> tuple[PeerTable, float]:
+    """A table of vehicle 1 after these packets of vehicle 2, which may not lead."""
+    table, now_s = PeerTable(1, {1: True, 2: False}, 42, 0.3, LIMITS, ()), 0.0
+    for one in packets:
+        now_s = one.received_s
+        table.fold([one], 0)
+    return table, now_s
+
+
+def sent(tick: int, arrives_s: float = 0.0, proven: bool = True, **said: Any) -> ReceivedPeerPacket:
+    """What vehicle 2 sends in this tick, with what it says in place of the truth."""
+    now_s = 100.0 + TICK_S * tick
+    fields = {"vehicle_id": 2, "sequence": tick, "formation_hash": 42, "sent_s": now_s, "phase": FlightPhase.FORMATION}
+    packet = with_fields(AT_REST, **(fields | said))
+    return ReceivedPeerPacket(now_s + arrives_s, packet, proven)
+
+
+REFUSED: dict[str, dict[str, Any]] = {
+    "it leads": {"role": Role.LEADER, "prc": 1},
+    "its sequence does not rise": {"sequence": 0},
+    "it is not a number": {"position_enu_m": (nan, 0.0, 0.0)},
+    "another one leads, without a signature": {"proven": False},
+    "an epoch that nobody missed": {"beacon": LeaderBeacon(1, 100, 1)},
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_who_sends_for_half_a_second_what_is_not_believed_is_named(what: str) -> None:
+    table, now_s = received(sent(tick, **(REFUSED[what] if tick else {})) for tick in range(round(0.4 * SECOND)))
+    assert table.refused(now_s) == ()
+    table, now_s = received(sent(tick, **(REFUSED[what] if tick else {})) for tick in range(round(0.7 * SECOND)))
+    assert table.refused(now_s) == (2,)
+    assert table.refused(now_s + 0.5) == ()  # silent
+    for tick in range(SECOND, 3 * SECOND):
+        table.fold([sent(tick)], 0)
+    assert not table.disbelief.sums
+
+
+def test_what_the_network_holds_back_or_sends_twice_is_no_lie() -> None:
+    packets = [sent(tick, delay_s) for tick in range(3 * SECOND) for delay_s in (0.001, 0.15 if tick % 4 else 0.25)]
+    table, now_s = received(sorted(packets, key=lambda one: one.received_s))
+    assert table.rejected[f"{Code.PEER_OUT_OF_ORDER} 2"] > 2 * SECOND
+    assert table.refused(now_s) == () and not table.disbelief.sums
+
+
+def test_one_lie_in_three_packets_names_nobody() -> None:
+    table, now_s = received(sent(tick, **({} if tick % 3 else REFUSED["it leads"])) for tick in range(4 * SECOND))
+    assert table.refused(now_s) == ()
