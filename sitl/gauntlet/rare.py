@@ -31,7 +31,7 @@ from sitl.flight.orders import FlightFailure
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.virtual_flight import collecting_seldom
 from sitl.flight.watch import watch_of
-from sitl.gauntlet.splitting import EVENT, Estimate, Leaf, Splitter, estimate, next_level
+from sitl.gauntlet.splitting import EVENT, Estimate, Leaf, Splitter, estimate, next_levels
 from sitl.report.folder import Column, results_folder, table_text
 from sitl.report.progress import FlightProgress, ShareProgress
 from sitl.stopping import StopNow, StopRequest
@@ -42,7 +42,7 @@ SIGMAS = 3.0
 GOAL_1_H = 1e-6  # upper bound of the probability per hour
 SEEDS_APART = 1_000_000  # those of two seeds of the command have no flight in common
 FORMATION = FlightPhase.FORMATION
-PILOT_FLIGHTS = 48  # first flights for each level of the pilot
+PILOT_FLIGHTS = 32  # first flights for each level of the pilot
 DISTURBED = (
     "stand_in.sensors=default",
     "stand_in.wind={mean_enu_m_s: [3.0, 1.0, 0.0], gust_sd_m_s: 1.0}",
@@ -183,14 +183,11 @@ class Flights:
         """The pilot chooses the levels, then `count` first flights are estimated with them."""
         levels: tuple[float, ...] = ()
         hours = 0.0
-        while True:
+        while EVENT not in levels:
             flown = self._fly(name, PILOT_FLIGHTS, levels, f"{name}, level {len(levels) + 1}")
             if not levels:  # these were not split: they are whole
                 hours = fmean(flight.formation_s for flight in flown) / 3600.0
-            level = next_level([leaf for flight in flown for leaf in flight.leaves], levels)
-            levels = (*levels, EVENT if level is None else level)
-            if levels[-1] == EVENT:
-                break
+            levels += next_levels([leaf for flight in flown for leaf in flight.leaves], levels)
         flown = self._fly(name, count, levels, f"{name}, {len(levels)} levels")
         roots = [flight.leaves for flight in flown]
         worst = min((leaf for root in roots for leaf in root), key=lambda leaf: leaf.least)

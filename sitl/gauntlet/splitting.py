@@ -4,8 +4,8 @@ A score below EVENT is the event. Without splitting, a probability of 1e-8 takes
 below a level goes on as BRANCHES simulations with new random numbers, each with 1/BRANCHES of the weight: where one in BRANCHES
 reaches the next level, as many simulations run at each level, and n levels see BRANCHES^-n with a few hundred. The sum of the
 weights of the events over the number of first simulations has the probability as its mean, whatever the levels are. They only
-decide the variance, so a pilot chooses them: each is the quantile 1/BRANCHES of the scores below the one before (adaptive
-multilevel splitting; Cerou and Guyader, Stochastic Analysis and Applications 25(2), 2007; here with levels fixed by a pilot).
+decide the variance, so a pilot chooses them, two at a time: each is the quantile 1/BRANCHES of the scores below the one before
+(adaptive multilevel splitting; Cerou and Guyader, Stochastic Analysis and Applications 25(2), 2007; here the levels are fixed).
 
 A simulation is split by os.fork: its state is in the call stack and in hundreds of objects, and a copy of the process has all
 of it. A branch flies on in the child, while the parent waits: one process computes at a time, and the order decides nothing.
@@ -125,13 +125,16 @@ class Splitter:
         return Leaf(self._passed, self._least, self._seeds)
 
 
-def next_level(leaves: Sequence[Leaf], levels: Sequence[float]) -> float | None:
-    """The next level of a pilot with these levels; EVENT as the last one, None where too few simulations come below them."""
+def next_levels(leaves: Sequence[Leaf], levels: Sequence[float]) -> tuple[float, ...]:
+    """The next levels of a pilot with these levels, up to two; EVENT is the last, also where too few come below the others.
+
+    One in BRANCHES comes below the first of them, and one in BRANCHES of these below the second.
+    """
     scores = sorted(leaf.least for leaf in leaves if leaf.passed == len(levels))
-    if len(scores) < FEWEST or len(levels) == MOST_LEVELS - 1:
-        return None
-    level = scores[len(scores) // BRANCHES]
-    return max(level, EVENT)
+    if len(scores) < FEWEST or len(levels) >= MOST_LEVELS - 1:
+        return (EVENT,)
+    first, second = (max(scores[len(scores) // share], EVENT) for share in (BRANCHES, BRANCHES * BRANCHES))
+    return (first, second) if first > second else (first,)
 
 
 @dataclass(frozen=True, slots=True)

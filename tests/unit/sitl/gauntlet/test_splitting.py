@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from sitl.gauntlet.splitting import EVENT, Estimate, Leaf, Seed, Splitter, estimate, next_level
+from sitl.gauntlet.splitting import EVENT, Estimate, Leaf, Seed, Splitter, estimate, next_levels
 
 STEPS, HEIGHT = 60, 26  # of the walk: up or down by 1
 
@@ -66,13 +66,16 @@ def test_without_levels_between_it_is_plain_monte_carlo() -> None:
     assert probability(12) < found.upper < 2.0 * probability(12)
 
 
-def test_a_level_is_the_quantile_of_the_scores_below_the_one_before() -> None:
+def test_levels_are_quantiles_of_the_scores_below_the_one_before() -> None:
     leaves = [Leaf(passed=k % 2, least=2.0 + 0.01 * k, seeds=(Seed(0.0, str(k)),)) for k in range(96)]
-    assert next_level(leaves, []) is not None
-    assert next_level(leaves, [9.0]) == pytest.approx(2.25)  # of the 48 that passed: the 13th
-    assert next_level(leaves[:20], [9.0]) is None  # too few
+    assert EVENT not in next_levels(leaves, [])
+    assert next_levels(leaves, [9.0]) == pytest.approx((2.25, 2.07))  # of the 48 that passed: the 13th and the 4th
+    assert next_levels(leaves[:20], [9.0]) == (EVENT,)  # too few
+    assert next_levels(leaves, [9.0] * 11) == (EVENT,)
     near = [Leaf(1, 0.5, (Seed(0.0, "1"),))] * 20
-    assert next_level(near, [9.0]) == EVENT
+    assert next_levels(near, [9.0]) == (EVENT,)
+    beyond = [Leaf(1, 0.5 + 0.1 * k, (Seed(0.0, str(k)),)) for k in range(48)]
+    assert next_levels(beyond, [9.0]) == pytest.approx((1.7, EVENT))
 
 
 def test_where_nothing_happened_the_bound_remains() -> None:
