@@ -6,8 +6,7 @@ hold can still hold after it, with the full braking that the envelope allows, an
 
 - Two vehicles that cooperate, both in formation and fresh, can still stop at SHARE of `separation_m` from each other.
 - The vehicle can still stop inside the fence, above its floor, and before every obstacle.
-- It is back within its limits of speed after a second. The filter exceeds them to keep off another vehicle, and one that lies
-  about where it is could chase this one for longer.
+- It is back within its limits of speed after a second (`overspeed.py`).
 - The attitude target is finite and within tilt, thrust and their rates; else nothing is sent.
 - The position that was used is fresh; else nothing is sent.
 
@@ -22,6 +21,7 @@ from math import hypot, inf, isfinite, sqrt, tan
 
 from companion.core.consensus.peers import PeerState
 from companion.core.safety.limits import OutputLimits
+from companion.core.safety.overspeed import Overspeed
 from companion.geometry.airspace import Airspace
 from companion.geometry.formations import HEIGHT_WEIGHT
 from companion.types.autopilot import AttitudeTarget, VehicleState
@@ -34,9 +34,6 @@ BRAKING_SHARE = 0.8  # of the largest braking: the rest is for wind
 RESPONDS_S = 0.3  # attitude lag, a tick, and the transport of a packet
 STANDS_M_S = 0.1  # a slower approach is noise of the estimators
 STOPS_WITHIN_S = 0.5  # the velocity is braked away in so long, as far as the envelope allows
-FASTER_MOST_S = 1.0  # above a limit of speed
-FASTER_M_S = 0.2  # above it by less is noise of the estimators
-SLOWS_1_S = 4.0  # an excess is braked away by this rate, as far as the envelope allows
 IN_A_ROW = 3  # ticks: a velocity that changes its sign with each packet stops no vehicle
 OLDEST_S = 0.1  # of the position that a command was decided by
 ROUNDED_RAD = 1e-3
@@ -57,7 +54,7 @@ class CommandMonitor:
         self._weakest_m_s2 = min(self._up_m_s2, self._down_m_s2)
         self._last, self._last_s = AttitudeTarget(0.0, 0.0, 0.0, 0.0), -inf
         self._found_ticks = 0
-        self._level_since_s, self._upright_since_s = inf, inf  # when it became faster than its limits
+        self._overspeed = Overspeed(limits, self._level_m_s2, self._up_m_s2, self._down_m_s2)
 
     def acceleration(
         self,
@@ -78,37 +75,11 @@ class CommandMonitor:
         self._found_ticks = self._found_ticks + 1 if found else 0
         if self._found_ticks >= IN_A_ROW:
             return (-vx / STOPS_WITHIN_S, -vy / STOPS_WITHIN_S, -vz / STOPS_WITHIN_S)
-        limits = self._limits
-        most_m_s = limits.max_speed_m_s + FASTER_M_S
-        if vx * vx + vy * vy > most_m_s * most_m_s:
-            wanted_enu_m_s2 = self._slowed_level(now_s, vx, vy, wanted_enu_m_s2)
-        else:
-            self._level_since_s = inf
-        if not -limits.max_descent_m_s - FASTER_M_S <= vz <= limits.max_climb_m_s + FASTER_M_S:
-            return self._slowed_upright(now_s, vz, wanted_enu_m_s2)
-        self._upright_since_s = inf
-        return wanted_enu_m_s2
-
-    def _slowed_level(self, now_s: float, vx: float, vy: float, wanted_enu_m_s2: Vector3) -> Vector3:
-        """The acceleration, or with what brakes a speed that was above its limit for as long as leaves time to brake."""
-        speed_m_s, (ux, uy, uz) = hypot(vx, vy), wanted_enu_m_s2
-        self._level_since_s = min(self._level_since_s, now_s)
-        excess_m_s = speed_m_s - self._limits.max_speed_m_s
-        braking_m_s2 = _braking(now_s - self._level_since_s, excess_m_s, self._level_m_s2)
-        nx, ny = vx / speed_m_s, vy / speed_m_s
-        more_m_s2 = ux * nx + uy * ny + braking_m_s2
-        return (ux - more_m_s2 * nx, uy - more_m_s2 * ny, uz) if more_m_s2 > 0.0 else wanted_enu_m_s2
-
-    def _slowed_upright(self, now_s: float, vz: float, wanted_enu_m_s2: Vector3) -> Vector3:
-        """Likewise of a climb or descent."""
-        (ux, uy, uz), limits = wanted_enu_m_s2, self._limits
-        self._upright_since_s = min(self._upright_since_s, now_s)
-        faster_s = now_s - self._upright_since_s
-        if vz > 0.0:
-            most_m_s2 = -_braking(faster_s, vz - limits.max_climb_m_s, self._down_m_s2)
-            return (ux, uy, most_m_s2) if uz > most_m_s2 else wanted_enu_m_s2
-        least_m_s2 = _braking(faster_s, -vz - limits.max_descent_m_s, self._up_m_s2)
-        return (ux, uy, least_m_s2) if uz < least_m_s2 else wanted_enu_m_s2
+        limits, overspeed = self._limits, self._overspeed
+        is_slow = vx * vx + vy * vy <= limits.max_speed_m_s**2 and -limits.max_descent_m_s <= vz <= limits.max_climb_m_s
+        if is_slow and not overspeed.lasts:
+            return wanted_enu_m_s2
+        return overspeed.slowed(now_s, vehicle.velocity_enu_m_s, wanted_enu_m_s2)
 
     def _meets(self, now_s: float, place: Vector3, velocity: Vector3, fresh: Mapping[int, PeerState]) -> bool:
         """Whether a cooperating vehicle would come too near although both brake: on a straight path relative to each other."""
@@ -172,10 +143,3 @@ class CommandMonitor:
             return False
         self._last, self._last_s = target, now_s
         return True
-
-
-def _braking(faster_s: float, excess_m_s: float, most_m_s2: float) -> float:
-    """The deceleration of a speed that is above its limit by this, and has been for so long; -inf while there is time."""
-    if faster_s + RESPONDS_S + excess_m_s / most_m_s2 < FASTER_MOST_S:
-        return -inf
-    return min(most_m_s2, SLOWS_1_S * excess_m_s)

@@ -9,8 +9,9 @@ import pytest
 from msgspec.structs import replace
 
 from companion.core.consensus.peers import PeerState
-from companion.core.safety.assurance import FASTER_M_S, IN_A_ROW, SHARE, CommandMonitor
+from companion.core.safety.assurance import IN_A_ROW, SHARE, CommandMonitor
 from companion.core.safety.limits import OutputLimits
+from companion.core.safety.overspeed import FASTER_M_S
 from companion.geometry.airspace import Airspace, Cylinder, Fence
 from companion.types.autopilot import AttitudeTarget, VehicleState
 from companion.types.flight import FlightPhase, Role
