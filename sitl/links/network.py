@@ -64,6 +64,7 @@ class Network:
         self.liars = Liars(links.lies) if links.lies else None
         self._links = links  # those of a path may be replaced in flight
         self._is_undisturbed = not (links.peer_loss or links.peer_jitter_s or links.peer_duplicates or links.partitions)
+        self._stated: set[tuple[int, int, int]] = set()  # leader, epoch and claim, as leaders said themselves
         self._sent = 0
 
     def send(self, packet: PeerPacket, now_s: float) -> None:
@@ -73,10 +74,9 @@ class Network:
             self.distant[receiver] = distant_ids
         self._sent += 1
         sender_id = packet.sender.vehicle_id
-        proven = True
         if self.liars is not None:
-            true, packet = packet, self.liars.stated(packet, now_s)
-            proven = _is_proven(packet, true)
+            packet = self.liars.stated(packet, now_s)
+        proven = self._is_proven(packet)
         at_low_rate = (packet.sender.sequence + sender_id) % LOW_RATE_TICKS == 0
         in_transit, distant = self._in_transit, self.distant
         in_time = (now_s + self._links.peer_delay_s, self._sent, packet, proven)
@@ -90,6 +90,15 @@ class Network:
             for arrives_s in path.arrivals_s(now_s):
                 insort(in_transit[receiver], (arrives_s, self._sent, packet, proven))
 
+    def _is_proven(self, packet: PeerPacket) -> bool:
+        """As between vehicles with identities: who passes on a term has the leader's signature where that has stated it."""
+        beacon = packet.leader.beacon
+        if beacon is None or (beacon.epoch == 0 and beacon.claim == 0):
+            return True
+        if beacon.leader_id == packet.sender.vehicle_id:
+            self._stated.add((beacon.leader_id, beacon.epoch, beacon.claim))
+        return (beacon.leader_id, beacon.epoch, beacon.claim) in self._stated
+
     def set_low_rate_peers(self, vehicle_id: int, distant_ids: Iterable[int], now_s: float) -> None:
         """This vehicle subscribes to these peers at 5 Hz, and to all others at 50 Hz."""
         self._next_distant.append((now_s + self._subscribed_after_s, vehicle_id, frozenset(distant_ids)))
@@ -101,11 +110,3 @@ class Network:
         packets = tuple([ReceivedPeerPacket(now_s, packet, proven) for _, _, packet, proven in waiting[:arrived]])
         del waiting[:arrived]
         return packets
-
-
-def _is_proven(packet: PeerPacket, true: PeerPacket) -> bool:
-    """As in a fleet with identities, where a liar has no signature of another leader for a term that it makes up."""
-    beacon, known = packet.leader.beacon, true.leader.beacon
-    if beacon is None or beacon.leader_id == packet.sender.vehicle_id:
-        return True
-    return known is not None and (beacon.leader_id, beacon.term) == (known.leader_id, known.term)
