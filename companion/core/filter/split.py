@@ -2,26 +2,29 @@
 
 Of two vehicles that do not hear each other each keeps off all that the other one may fly. An evasion is not among that: where
 both evade, neither is where the other one believes it to be. One silent vehicle has lost its agent or its radio, and the
-others hear each other: they evade. Where several fall silent at once, agents live on both sides of a split network. All of
-them brake at once then, on a straight line, and wait; that needs less room than any evasion.
+others hear each other: they evade. Where several fall silent at once, agents live on both sides of a split network. If slots
+move then, or vehicles are not placed as their slots, all brake at once, on a straight line, and wait; that needs less room than
+any evasion. In a formation that keeps its shape nobody has to evade: it flies on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from math import dist, inf
 
 from companion.core.consensus.law import feedback
 from companion.core.consensus.peers import PeerState
 from companion.core.filter.motion import Motion, braking
+from companion.geometry.vectors import minus
 from companion.types.autopilot import VehicleState
 from companion.types.flight import FlightPhase
-from companion.types.formation import Gains
+from companion.types.formation import FlownSlot, Gains
 from companion.types.values import ZERO3, Vector3
 
 FORMATION = FlightPhase.FORMATION
 SEVERAL = 2  # silent vehicles at once
 AT_ONCE_S = 1.0  # between the last packets of vehicles that fall silent at once
+PLACED_WITHIN_M = 0.5  # of the offset of their slots
 NEAR_M = 12.0  # of the last position; farther away a vehicle matters to no evasion
 WAITS_S = 30.0  # from the last packet on; for how long a vehicle waits that nobody ends by command
 
@@ -34,18 +37,27 @@ class Split:
         self._braking_m_s2 = braking_m_s2
         self._gains = gains
         self._ids: frozenset[int] = frozenset()  # the vehicles behind the split
+        self._in_shape: frozenset[int] = frozenset()  # those that fell silent while the formation kept its shape
         self._from: Motion = (ZERO3, ZERO3, ZERO3)
         self._since_s = -inf
 
     def step(
-        self, now_s: float, vehicle: VehicleState, peers: Mapping[int, PeerState], fresh: Mapping[int, PeerState]
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        slot: FlownSlot | None,
+        peers: Mapping[int, PeerState],
+        fresh: Mapping[int, PeerState],
     ) -> frozenset[int]:
-        """The ids of the vehicles behind a split."""
+        """The ids of the vehicles behind a split. `slot` is the own one, None outside formation."""
         ids = self._behind(now_s, vehicle, {i: peer for i, peer in peers.items() if i not in fresh})
         if ids and not self._ids:
+            if ids <= self._in_shape or not _changes_shape(now_s, vehicle, slot, peers.values()):
+                self._in_shape = ids
+                return frozenset()
             self._since_s = now_s
             self._from = (vehicle.position_enu_m, vehicle.velocity_enu_m_s, ZERO3)
-        self._ids = ids
+        self._ids, self._in_shape = ids, frozenset()
         return ids
 
     def _behind(self, now_s: float, vehicle: VehicleState, silent: Mapping[int, PeerState]) -> frozenset[int]:
@@ -75,3 +87,20 @@ class Split:
         ax, ay, az = feedback(self._gains, (x - px, y - py, z - pz), (vx - wx, vy - wy, vz - wz))
         sx, sy, sz = slowing
         return (ax + sx, ay + sy, az + sz)
+
+
+def _changes_shape(now_s: float, vehicle: VehicleState, slot: FlownSlot | None, peers: Iterable[PeerState]) -> bool:
+    """Whether a slot moves, or waits to, or a vehicle is not placed as its slot about this one."""
+    if slot is not None and (slot.moves or slot.waiting != slot.formation):
+        return True
+    for peer in peers:
+        other = peer.packet.slot
+        if peer.packet.phase is not FORMATION:
+            continue
+        if other.moves or other.waiting != other.formation:
+            return True
+        if slot is not None:
+            apart = minus(vehicle.position_enu_m, peer.position_at(now_s))
+            if dist(apart, minus(slot.position_enu_m, other.position_enu_m)) > PLACED_WITHIN_M:
+                return True
+    return False

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from common import NOW_S, peer
 from companion.core.consensus.peers import PeerState
 from companion.core.filter.split import AT_ONCE_S, NEAR_M, WAITS_S, Split
 from companion.types.autopilot import VehicleState
 from companion.types.flight import FlightPhase
-from companion.types.formation import Gains
+from companion.types.formation import FlownSlot, Gains
 
 FRESH_S, BRAKING_M_S2 = 0.3, 2.0
 OWN = peer(2).packet.motion.position_enu_m
 EAST = VehicleState(position_enu_m=OWN, velocity_enu_m_s=(1.0, 0.0, 0.0), position_time_s=NOW_S)
+
+
+IN_PLACE = peer(2).packet.slot
+CHANGES = replace(IN_PLACE, moves_for_s=2.0)
 
 
 def silent(vehicle_id: int, for_s: float, **changes: object) -> PeerState:
@@ -25,9 +30,9 @@ def split() -> Split:
     return Split(FRESH_S, BRAKING_M_S2, Gains(2.0, 2.4))
 
 
-def behind(*peers: PeerState) -> frozenset[int]:
+def behind(*peers: PeerState, slot: FlownSlot | None = CHANGES) -> frozenset[int]:
     """The vehicles that a new `Split` finds behind the split; `peers` are those that are silent."""
-    return split().step(NOW_S, EAST, {one.packet.sender.vehicle_id: one for one in peers}, {})
+    return split().step(NOW_S, EAST, slot, {one.packet.sender.vehicle_id: one for one in peers}, {})
 
 
 def test_vehicles_that_fall_silent_at_once_are_behind_a_split() -> None:
@@ -56,28 +61,55 @@ def test_a_vehicle_that_its_autopilot_flies_does_not_count() -> None:
     assert behind(silent(1, 0.35), silent(3, 0.35, phase=FlightPhase.HOLD)) == frozenset()
 
 
+def test_a_formation_that_keeps_its_shape_flies_on() -> None:
+    """Two agents that end at once, or a split: nobody has to evade."""
+    both = (silent(1, 0.35), silent(3, 0.35))
+    assert behind(*both, slot=IN_PLACE) == frozenset()
+    kept, peers = split(), {one.packet.sender.vehicle_id: one for one in both}
+    assert not kept.step(NOW_S, EAST, IN_PLACE, peers, {})
+    x, y, z = OWN
+    gone_on = replace(EAST, position_enu_m=(x + 3.0, y, z))
+    assert not kept.step(NOW_S + 1.0, gone_on, IN_PLACE, peers, {})  # it has left the silent ones behind
+
+
+@pytest.mark.parametrize(
+    ("slot", "changes"),
+    [
+        (IN_PLACE, {"slot": replace(peer(3).packet.slot, moves_for_s=1.0)}),
+        (IN_PLACE, {"slot": replace(peer(3).packet.slot, waiting=1)}),
+        (replace(IN_PLACE, waiting=1), {}),
+        (replace(IN_PLACE, position_enu_m=(-1.5, 0.6, 0.0)), {}),
+        (None, {"slot": replace(peer(3).packet.slot, moves_for_s=1.0)}),
+    ],
+)
+def test_where_slots_move_or_vehicles_are_not_placed_the_split_counts(
+    slot: FlownSlot | None, changes: dict[str, object]
+) -> None:
+    assert behind(silent(1, 0.35), silent(3, 0.35, **changes), slot=slot) == {1, 3}
+
+
 def test_a_split_lasts_until_all_are_heard_again() -> None:
     of_both = split()
     silent_ones = {1: silent(1, 0.35), 3: silent(3, 0.35)}
-    assert of_both.step(NOW_S, EAST, silent_ones, {}) == {1, 3}
+    assert of_both.step(NOW_S, EAST, CHANGES, silent_ones, {}) == {1, 3}
     heard = silent_ones | {1: peer(1)}
-    assert of_both.step(NOW_S, EAST, heard, {1: heard[1]}) == {3}
+    assert of_both.step(NOW_S, EAST, CHANGES, heard, {1: heard[1]}) == {3}
     heard |= {3: peer(3)}
-    assert of_both.step(NOW_S, EAST, heard, heard) == frozenset()
+    assert of_both.step(NOW_S, EAST, CHANGES, heard, heard) == frozenset()
 
 
 def test_nobody_waits_for_ever() -> None:
     of_both = split()
     silent_ones = {1: silent(1, 0.35), 3: silent(3, 0.35)}
-    assert of_both.step(NOW_S, EAST, silent_ones, {})
-    assert not of_both.step(NOW_S + WAITS_S, EAST, silent_ones, {})
+    assert of_both.step(NOW_S, EAST, CHANGES, silent_ones, {})
+    assert not of_both.step(NOW_S + WAITS_S, EAST, CHANGES, silent_ones, {})
 
 
 @pytest.mark.parametrize("after_s", [0.0, 0.2, 0.49])
 def test_the_vehicle_brakes_on_a_straight_line(after_s: float) -> None:
     """From 1 m/s with 2 m/s^2: 0.25 m in half a second."""
     waiting = split()
-    assert waiting.step(NOW_S, EAST, {1: silent(1, 0.35), 3: silent(3, 0.35)}, {})
+    assert waiting.step(NOW_S, EAST, CHANGES, {1: silent(1, 0.35), 3: silent(3, 0.35)}, {})
     (x, y, z), left_m_s = OWN, 1.0 - BRAKING_M_S2 * after_s
     gone_m = after_s * (1.0 + left_m_s) / 2.0
     on_time = VehicleState(position_enu_m=(x + gone_m, y, z), velocity_enu_m_s=(left_m_s, 0.0, 0.0))
@@ -86,7 +118,7 @@ def test_the_vehicle_brakes_on_a_straight_line(after_s: float) -> None:
 
 def test_the_vehicle_stays_where_it_has_stopped() -> None:
     waiting = split()
-    assert waiting.step(NOW_S, EAST, {1: silent(1, 0.35), 3: silent(3, 0.35)}, {})
+    assert waiting.step(NOW_S, EAST, CHANGES, {1: silent(1, 0.35), 3: silent(3, 0.35)}, {})
     x, y, z = OWN
     at_rest = VehicleState(position_enu_m=(x + 0.25, y, z))
     assert waiting.acceleration(NOW_S + 5.0, at_rest) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
