@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from random import Random
 
+from companion.types.autopilot import AutopilotKind
 from sitl.gauntlet.families import (
     FAMILIES,
     FORM_S,
@@ -243,6 +244,8 @@ def combined(random: Random, fleet: DrawnFleet) -> FamilyPlan:
         happens(random, fleet, plan)
     if "wind" in plan.stand_in:
         plan.settings.pop("envelope.max_tilt_deg", None)  # with a small tilt no vehicle stays in a wind
+        if fleet.autopilot is AutopilotKind.ARDUPILOT:
+            plan.links.pop("late_telemetry", None)  # it levels, and the wind carries it where nobody expects it
     return plan
 
 
