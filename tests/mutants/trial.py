@@ -90,17 +90,19 @@ class _Collected:
         uses = Uses()
         for index, mutant in enumerate(self._mutants):
             at_import = mutant.is_constant and uses.are_at_import(mutant)
-            chosen = _reaching(mutant, contexts, uses) or (sorted(seconds) if mutant.is_constant else [])
-            chosen = self._nearest(mutant, chosen, seconds)
+            chosen = self._nearest(mutant, _reaching(mutant, contexts, uses), seconds)
             apply = None if at_import else _change_of(mutant)
             if apply is None:
-                self._send("result", (index, None, chosen))
+                self._send("result", (index, None, self._more(mutant, chosen, contexts, seconds)))
                 continue
             killer = _killer(apply, [(items[name], seconds[name]) for name in chosen])
             if killer is not None and chosen:
                 self._killers[mutant.function, chosen[killer]] += 1
-            again = killer is None and chosen and not mutant.is_constant and _reached(mutant, imports)
-            self._send("result", (index, None if again else killer is not None, chosen))
+            again = killer is None and not mutant.is_constant and _reached(mutant, imports)
+            if again:
+                self._send("result", (index, None, self._more(mutant, chosen, contexts, seconds)))
+            else:
+                self._send("result", (index, killer is not None, []))
         return True
 
     def _nearest(self, mutant: Mutant, names: list[str], seconds: dict[str, float]) -> list[str]:
@@ -113,6 +115,12 @@ class _Collected:
             cases[test := name.partition("[")[0]] += 1
             keys[name] = (-self._killers[mutant.function, name], folder not in name, cases[test])
         return sorted(keys, key=keys.__getitem__)[:MOST_TESTS]
+
+    def _more(self, mutant: Mutant, chosen: list[str], contexts: Contexts, seconds: dict[str, float]) -> list[str]:
+        """These, then the tests of anything in the module: they may use what was made at import."""
+        lines = contexts.get(mutant.path.as_posix(), {}).values()
+        others = {name for names in lines for name in names} - set(chosen)
+        return [*chosen, *self._nearest(mutant, sorted(others), seconds)][:MOST_TESTS]
 
     def _send(self, kind: str, value: object) -> None:
         pickle.dump((kind, value), self._out)

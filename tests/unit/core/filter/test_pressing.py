@@ -44,7 +44,7 @@ class Pressed:
 
     def __init__(self) -> None:
         self.pressure = Pressure(1.0)
-        self.now_s, self.vehicle = 0.0, VehicleState()
+        self.now_s, self.vehicle = 100.0, VehicleState()
 
     def ticks(
         self,
@@ -101,6 +101,19 @@ def test_who_is_nearer_than_nine_tenths_and_fled_from_by_more_than_a_metre_press
 ) -> None:
     one = barrier(apart_m, (1.0, 0.0, 0.0, least, Rank.VEHICLE))
     assert bool(Pressed().ticks(1, one, flown=(flown_m_s2, 9.0, 9.0)).pressure.pressing) is presses
+
+
+def test_how_near_is_of_the_separation_and_what_is_flown_of_all_three_axes() -> None:
+    oblique = (0.6, -0.48, 0.64, 5.0, Rank.VEHICLE)
+    for apart_m, flown, presses in (
+        (1.79, (0.7, -0.5, 0.6), True),  # 1.04 along the normal
+        (1.81, (0.7, -0.5, 0.6), False),
+        (1.79, (0.7, -0.5, 0.5), False),
+        (1.79, (0.7, -0.3, 0.6), False),
+    ):
+        pressure = Pressure(2.0)
+        pressure.step(1.0, VehicleState(position_time_s=1.0), [barrier(apart_m, oblique)], (), flown)
+        assert bool(pressure.pressing) is presses
 
 
 @pytest.mark.parametrize("rank", list(Rank))

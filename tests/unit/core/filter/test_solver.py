@@ -7,6 +7,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
+from scipy.optimize import linprog
 
 from companion.core.filter.solver import AccelerationLimits, Constraint, Rank, filter_acceleration, shortfalls
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
@@ -212,6 +213,70 @@ def test_the_result_is_that_of_the_best_active_set(count: int) -> None:
             solved += 1
             assert filter_acceleration(u, asked, FREE, 60) == pytest.approx(expected, abs=1e-4)
     assert solved > 5
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_cannot_be_met_is_missed_by_the_least_amount_that_is_possible(seed: int) -> None:
+    """The same for all of one rank: against a linear program."""
+    random, contradicted = Random(seed), 0
+    for _ in range(40):
+        asked = [
+            to_constraint(unit(random.uniform(-3.1, 3.1), random.uniform(-0.9, 0.9)), random.uniform(0.0, 3.0))
+            for _ in range(4)
+        ]
+        normals, least = np.array([c[:3] for c in asked]), np.array([c[3] for c in asked])
+        columns = np.hstack([-normals, -np.ones((len(asked), 1))])
+        found = linprog([0, 0, 0, 1], columns, -least, bounds=[(-50, 50), (-50, 50), (-9, 50), (0, None)])
+        u = filter_acceleration((random.uniform(-2.0, 2.0), random.uniform(-2.0, 2.0), 0.5), asked, FREE, 200)
+        if np.abs(u).max() < 40.0:
+            contradicted += found.x[3] > 0.01
+            assert max(*(least - normals @ np.array(u)), 0.0) == pytest.approx(found.x[3], abs=1e-3)
+    assert contradicted > 2
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_vertical_limits_are_planes_like_the_constraints(seed: int) -> None:
+    low, random, bound = replace(FREE, lowest_m_s2=-0.5, highest_m_s2=0.8), Random(seed), 0
+    planes = [to_constraint((0.0, 0.0, -1.0), -0.8), to_constraint((0.0, 0.0, 1.0), -0.5)]
+    for _ in range(40):
+        asked = [
+            to_constraint(unit(random.uniform(-3.1, 3.1), random.uniform(-0.8, 0.8)), random.uniform(-1.0, 1.5))
+            for _ in range(3)
+        ]
+        u = (random.uniform(-2.0, 2.0), random.uniform(-2.0, 2.0), random.uniform(-0.5, 0.8))
+        expected = nearest_of_all_active_sets(u, [*asked, *planes])
+        if expected is not None and abs(expected).max() < 8.0:
+            bound += expected[2] in (-0.5, 0.8)
+            assert filter_acceleration(u, asked, low, 60) == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize("wind", [(0.0, 0.0, 0.0), (0.7, -0.4, 0.0), (-0.5, 0.9, 0.0)])
+@pytest.mark.parametrize("turn_rad", [0.0, 1.1, -2.0])
+@pytest.mark.parametrize("up_m_s2", [1.0, -3.0])
+def test_beside_a_constraint_what_the_tilt_leaves_is_used(up_m_s2: float, turn_rad: float, wind: Vector3) -> None:
+    """The nearest point on plane and cone, by trying heights: beside a climb at its height, in a dive with more thrust."""
+    across, towards = (-sin(turn_rad), cos(turn_rad)), (cos(turn_rad), sin(turn_rad))
+    windy, tilt = replace(LIMITS, disturbance_enu_m_s2=wind), tan(radians(25.0))
+    gone = wind[0] * towards[0] + wind[1] * towards[1]
+    aside = wind[0] * across[0] + wind[1] * across[1]
+    least = 0.9 * (up_m_s2 + GRAVITY_M_S2) * tilt
+    wish = 0.7 * (up_m_s2 + GRAVITY_M_S2) * tilt
+    start = (
+        aside * across[0] + wish * across[0] + gone * towards[0],
+        aside * across[1] + wish * across[1] + gone * towards[1],
+    )
+    constraint = to_constraint((*towards, 0.0), least + gone)
+    x, y, z = filter_acceleration((*start, up_m_s2), [constraint], windy, 60)
+    heights = [up_m_s2] if up_m_s2 > 0.0 else [up_m_s2 + 0.01 * k for k in range(300)]
+    radii = [((h + GRAVITY_M_S2) * tilt, h) for h in heights]
+    options = [
+        (hypot(wish - min(wish, (r * r - least * least) ** 0.5), h - up_m_s2), r, h) for r, h in radii if r > least
+    ]
+    _, radius, height = min(options)
+    assert z == pytest.approx(height, abs=0.1)
+    assert x * towards[0] + y * towards[1] == pytest.approx(least + gone, abs=0.06)
+    expected_across = aside + min(wish, (radius * radius - least * least) ** 0.5)
+    assert x * across[0] + y * across[1] == pytest.approx(expected_across, abs=0.25)
 
 
 @pytest.mark.parametrize("most_steps", range(6))

@@ -376,3 +376,65 @@ def test_a_speed_within_its_limits_or_above_them_for_a_moment_is_let_be() -> Non
         now_s, faster_m_s = NOW_S + 0.02 * tick, 0.5 if tick % 25 < 10 else 0.0
         flown = replace(vehicle((12.0 + faster_m_s, 0.0, 3.0 + faster_m_s)), position_time_s=now_s)
         assert at.acceleration(now_s, flown, {}, given) is given
+
+
+def slowed(velocity_enu_m_s: Vector3, wanted_enu_m_s2: Vector3, for_s: float) -> Vector3:
+    """What is flown of this wish by a vehicle that has been so fast for this time."""
+    at = CommandMonitor(SEPARATION_M, Airspace(FENCE, ()), dataclasses.replace(NARROW, **LIMITED))
+    flown = wanted_enu_m_s2
+    for now_s in (NOW_S, NOW_S + for_s):
+        own = replace(vehicle(velocity_enu_m_s), position_time_s=now_s)
+        flown = at.acceleration(now_s, own, {}, wanted_enu_m_s2)
+    return flown
+
+
+LIMITED = {"max_speed_m_s": 12.0, "max_climb_m_s": 3.0, "max_descent_m_s": 2.0}
+
+
+@pytest.mark.parametrize("excess_m_s", [0.3, 0.6])
+def test_a_speed_is_braked_once_there_is_no_more_time_than_that_takes(excess_m_s: float) -> None:
+    """Within a second, less the 0.3 s of the response and the time of full braking; by 4 m/s^2 for each m/s of excess."""
+    ways = (
+        ((0.6 * (12.0 + excess_m_s), -0.8 * (12.0 + excess_m_s), 0.0), (0.6, -0.8, 0.0), LEVEL_M_S2),
+        ((0.0, 0.0, 3.0 + excess_m_s), (0.0, 0.0, 1.0), DOWN_M_S2),
+        ((0.0, 0.0, -2.0 - excess_m_s), (0.0, 0.0, -1.0), UP_M_S2),
+    )
+    for velocity, (nx, ny, nz), most_m_s2 in ways:
+        begins_s, wanted = 0.7 - excess_m_s / most_m_s2, (1.0, 0.5, 0.2)
+        assert slowed(velocity, wanted, begins_s - 0.001) is wanted
+        x, y, z = slowed(velocity, wanted, begins_s + 0.001)
+        assert nx * x + ny * y + nz * z == pytest.approx(-min(most_m_s2, 4.0 * excess_m_s))
+        across = [(a, b) for a, b, n in zip((x, y, z), wanted, (nx, ny, nz), strict=True) if n == 0.0]
+        assert all(a == b for a, b in across)
+        assert -ny * x + nx * y == pytest.approx(-ny * wanted[0] + nx * wanted[1])
+        brakes = tuple(-9.0 * n for n in (nx, ny, nz))
+        assert slowed(velocity, brakes, begins_s + 0.001) is brakes  # as the filter wants
+
+
+def test_an_excess_is_noise_up_to_two_tenths_and_ends_its_time() -> None:
+    at = CommandMonitor(SEPARATION_M, Airspace(FENCE, ()), dataclasses.replace(NARROW, **LIMITED))
+    wanted = (1.0, 0.0, 1.0)
+
+    def flown(now_s: float, velocity: Vector3) -> Vector3:
+        return at.acceleration(now_s, replace(vehicle(velocity), position_time_s=now_s), {}, wanted)
+
+    for fast, slow in (((12.5, 0.0, 0.0), (12.19, 0.0, 0.0)), ((0.0, 0.0, 3.5), (0.0, 0.0, 3.19))):
+        assert flown(20.0, fast) is wanted
+        assert flown(20.9, slow) is wanted
+        assert flown(21.0, fast) is wanted
+        assert flown(21.9, fast) is not wanted
+        assert flown(30.0, slow) is wanted
+    for now_s in (40.0, 49.0):
+        assert flown(now_s, (0.0, 0.0, -2.19)) is wanted
+        assert flown(now_s, (0.0, -12.19, 3.19)) is wanted
+    both = (-12.5, 0.0, -2.5)
+    flown(50.0, both)
+    x, y, z = flown(51.0, both)
+    assert (x, y, z) == pytest.approx((2.0, 0.0, UP_M_S2))
+
+
+def test_a_vehicle_without_limits_of_speed_is_never_slowed() -> None:
+    at, wanted = monitor(), (1.0, 0.0, 1.0)
+    for now_s in (NOW_S, NOW_S + 9.0):
+        own = replace(vehicle((20.0, 0.0, 5.0), (-40.0, 0.0, 2.0)), position_time_s=now_s)
+        assert at.acceleration(now_s, own, {}, wanted) is wanted

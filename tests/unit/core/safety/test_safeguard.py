@@ -117,6 +117,32 @@ def test_a_warning_names_what_it_is_about() -> None:
     )
 
 
+def test_each_peer_in_doubt_has_a_name_once_in_five_seconds() -> None:
+    """Also a second one, while the flag is raised already; those that are refused as well; in formation alone."""
+    watched, text = Watched(), FLAG_TEXTS[F.PEER_IN_DOUBT]
+
+    def named(
+        now_s: float, in_doubt: tuple[int, ...], refused: tuple[int, ...] = (), flight: Flight = FORMS
+    ) -> list[str]:
+        watched.peers = PeerSets(in_doubt=in_doubt, refused=refused)
+        found = watched.at(now_s, flight)
+        assert found.flags == ({F.PEER_IN_DOUBT} if in_doubt or refused else set())
+        assert {event.code for event in found.events} <= {Code.PEER_IN_DOUBT}
+        return [event.text for event in found.events]
+
+    assert named(0.0, (7,)) == [f"{text}: 7"]
+    assert named(0.1, (7,)) == []
+    assert named(0.2, (7,), (9, 4)) == [f"{text}: 4, 9"]
+    assert named(0.3, (7,), (4, 9)) == []
+    assert named(1.0, (7,)) == []
+    assert named(5.3, (7,), (4,)) == []  # 5 s ago 4 was still in doubt
+    assert named(10.301, (7,), (4,)) == [f"{text}: 4, 7"]  # nothing was heard of both for a while
+    assert named(10.4, (), ()) == []
+    assert named(16.0, (7,), (7,)) == [f"{text}: 7"]
+    assert named(16.1, (7, 8), flight=HOLDS) == []
+    assert named(16.2, (7, 8)) == [f"{text}: 8"]
+
+
 @pytest.mark.parametrize(
     ("flag", "changes", "change"),
     [
