@@ -12,10 +12,10 @@ import argparse
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
-from tests.mutants.mutate import Mutant, mutants_of
+from tests.mutants.mutate import Key, Mutant, mutants_of
 from tests.mutants.trial import run
 
 PACKAGES = ("companion/core/safety", "companion/core/control", "companion/core/filter")
@@ -29,8 +29,6 @@ EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 OUT = Path("runs/mutants")
 SURVIVED = OUT / "survived.txt"  # each with module, function and change, as soon as it is known
 WANTED = 0.95
-
-Key = tuple[str, str, str]
 
 
 def main() -> int:
@@ -50,11 +48,15 @@ def main() -> int:
     reasons = _listed()
     stale = [key for key in reasons if Path(key[0]) in paths and key not in {m.key for m in mutants}]
     if parsed.again:
+        if not SURVIVED.exists():
+            parser.error(f"no run before this one has written {SURVIVED}")
         survived = {tuple(line.split("\t")) for line in SURVIVED.read_text(encoding="utf-8").splitlines()}
         mutants = [mutant for mutant in mutants if mutant.key in survived]
     OUT.mkdir(parents=True, exist_ok=True)
     with SURVIVED.open("w", encoding="utf-8") as out:
-        results = _run(mutants, parsed.tests, lambda key: key in reasons or print(*key, sep="\t", file=out, flush=True))
+        results = _run(
+            mutants, parsed.tests, reasons, lambda key: key in reasons or print(*key, sep="\t", file=out, flush=True)
+        )
     share = _print_table(mutants, results, reasons)
     print(f"survivors: {SURVIVED}")
     killed = [mutant.key for mutant in mutants if results[mutant.key] and mutant.key in reasons]
@@ -78,7 +80,9 @@ def _listed() -> dict[Key, str]:
     return listed
 
 
-def _run(mutants: list[Mutant], tests: list[str], survives: Callable[[Key], object]) -> dict[Key, bool]:
+def _run(
+    mutants: list[Mutant], tests: list[str], listed: Collection[Key], survives: Callable[[Key], object]
+) -> dict[Key, bool]:
     """Whether each mutant was killed."""
     results: dict[Key, bool] = {}
     begin_s = time.monotonic()
@@ -95,7 +99,7 @@ def _run(mutants: list[Mutant], tests: list[str], survives: Callable[[Key], obje
             flush=True,
         )
 
-    run(tests, mutants, report)
+    run(tests, mutants, listed, report)
     print(file=sys.stderr)
     return results
 

@@ -16,6 +16,9 @@ from mutmut.mutation.file_mutation import MutationVisitor, deep_replace
 from mutmut.mutation.mutators import mutation_operators
 from mutmut.mutation.pragma_handling import IgnoredCode
 
+Key = tuple[str, str, str]
+"""File, function and change."""
+
 
 @dataclass(frozen=True)
 class Mutant:
@@ -31,13 +34,13 @@ class Mutant:
     is_constant: bool = False
 
     @property
-    def key(self) -> tuple[str, str, str]:
+    def key(self) -> Key:
         return self.path.as_posix(), self.function, self.change
 
 
 def mutants_of(path: Path) -> list[Mutant]:
     """All mutants of this file; a change that occurs again in a function is numbered."""
-    seen: dict[tuple[str, str, str], int] = {}
+    seen: dict[Key, int] = {}
     numbered = []
     for mutant in (*_functions(path), *_constants(path)):
         count = seen[mutant.key] = seen.get(mutant.key, 0) + 1

@@ -14,7 +14,7 @@ import resource
 import sys
 import types
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from importlib.util import spec_from_file_location
 from pathlib import Path
 from time import process_time
@@ -25,11 +25,12 @@ from _pytest.runner import runtestprotocol
 from coverage import Coverage
 from hypothesis import Phase, settings
 
-from tests.mutants.mutate import Mutant
+from tests.mutants.mutate import Key, Mutant
 from tests.mutants.uses import Uses
 
 ARGUMENTS = ["-q", "--assert=plain", "-p", "no:cacheprovider", "-m", "not long", "--hypothesis-profile=mutants"]
 MOST_TESTS = 300  # of one mutant: nearly all tests of the core pass the output limits
+FEW_TESTS = 40  # of one that is listed as equivalent
 FEW_FILES = 4  # test files that are imported first where everything is imported again
 MOST_BYTES = 3 << 30
 
@@ -37,8 +38,13 @@ Contexts = dict[str, dict[int, list[str]]]
 """Of each file of the product the tests that reach a line."""
 
 
-def run(tests: Sequence[str], mutants: Sequence[Mutant], report: Callable[[Mutant, bool], None]) -> None:
-    """`report` gets each mutant once, and whether it was killed. Raises RuntimeError where a test fails without a mutant."""
+def run(
+    tests: Sequence[str], mutants: Sequence[Mutant], listed: Collection[Key], report: Callable[[Mutant, bool], None]
+) -> None:
+    """`report` gets each mutant once, and whether it was killed. `listed`: what is expected to survive is tried by few tests.
+
+    Raises RuntimeError where a test fails without a mutant.
+    """
     # No search for a smaller example: one failure is enough.
     phases = (Phase.explicit, Phase.generate)
     quick = settings(deadline=None, derandomize=True, max_examples=30, database=None, phases=phases)
@@ -47,7 +53,7 @@ def run(tests: Sequence[str], mutants: Sequence[Mutant], report: Callable[[Mutan
     if not (child := os.fork()):
         os.close(reader)
         with os.fdopen(writer, "wb") as out:
-            pytest.main([*ARGUMENTS, *tests], plugins=[_Collected(mutants, out)])
+            pytest.main([*ARGUMENTS, *tests], plugins=[_Collected(mutants, listed, out)])
         os._exit(0)
     os.close(writer)
     imported_again, seconds = [], {}
@@ -73,8 +79,8 @@ def run(tests: Sequence[str], mutants: Sequence[Mutant], report: Callable[[Mutan
 class _Collected:
     """Plugin of one session: collects the tests, runs them once, then those that reach it against each mutant."""
 
-    def __init__(self, mutants: Sequence[Mutant], out: Any) -> None:
-        self._mutants, self._out = mutants, out
+    def __init__(self, mutants: Sequence[Mutant], listed: Collection[Key], out: Any) -> None:
+        self._mutants, self._listed, self._out = mutants, listed, out
         self._coverage = _coverage()
         self._coverage.start()
         self._killers: Counter[tuple[str, str]] = Counter()
@@ -114,13 +120,14 @@ class _Collected:
         for name in sorted(names, key=seconds.__getitem__):
             cases[test := name.partition("[")[0]] += 1
             keys[name] = (-self._killers[mutant.function, name], folder not in name, cases[test])
-        return sorted(keys, key=keys.__getitem__)[:MOST_TESTS]
+        return sorted(keys, key=keys.__getitem__)[: FEW_TESTS if mutant.key in self._listed else MOST_TESTS]
 
     def _more(self, mutant: Mutant, chosen: list[str], contexts: Contexts, seconds: dict[str, float]) -> list[str]:
         """These, then the tests of anything in the module: they may use what was made at import."""
         lines = contexts.get(mutant.path.as_posix(), {}).values()
         others = {name for names in lines for name in names} - set(chosen)
-        return [*chosen, *self._nearest(mutant, sorted(others), seconds)][:MOST_TESTS]
+        half = MOST_TESTS // 2
+        return [*chosen[:half], *self._nearest(mutant, sorted(others), seconds)[:half]]
 
     def _send(self, kind: str, value: object) -> None:
         pickle.dump((kind, value), self._out)

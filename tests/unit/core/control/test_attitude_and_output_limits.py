@@ -77,6 +77,11 @@ def test_impossible_acceleration_is_refused(uz: float, roll: float) -> None:
         attitude_target((0.0, 0.0, uz), 0.0, roll, 0.0, 0.5)
 
 
+def test_a_fall_with_the_last_of_the_thrust_has_an_attitude() -> None:
+    target = attitude_target((0.0, 0.0, 0.5 - GRAVITY_M_S2), 0.0, 0.0, 0.0, 0.5)
+    assert target.thrust_norm == pytest.approx(0.5 * 0.5 / GRAVITY_M_S2)
+
+
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), angle)
 def test_limited_acceleration_stays_within_tilt_and_thrust_limits(ux: float, uy: float, uz: float, yaw: float) -> None:
     limited = limit_acceleration((ux, uy, uz), LIMITS.max_tilt_rad, 0.3, 1.6)

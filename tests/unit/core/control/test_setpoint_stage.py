@@ -125,8 +125,10 @@ def test_in_formation_it_flies_what_the_law_wants_and_what_its_slot_does() -> No
 def test_a_law_that_does_not_fly_the_altitude_holds_that_of_the_beginning() -> None:
     at = Stage(flies_altitude=False)
     at.tick(Flight(phase=P.ENGAGE, streams=True))  # at 10 m
+    moves = FlownSlot(ZERO3, acceleration_enu_m_s2=(0.2, 0.1, -0.1))
+    at.guidance = Guidance(slot=moves, reference=REFERENCE)  # whose height is not wanted
     found = at.settled(FORMS, position_enu_m=(1.0, 2.0, 10.4), velocity_enu_m_s=(0.0, 0.0, -0.2))
-    assert found.acceleration_enu_m_s2 == pytest.approx((0.6, -0.4, -1.5 * 0.4 + 2.0 * 0.2))
+    assert found.acceleration_enu_m_s2 == pytest.approx((0.8, -0.3, -1.5 * 0.4 + 2.0 * 0.2))
 
 
 def test_a_hand_over_begins_at_the_altitude_that_the_law_has_reached() -> None:
@@ -296,6 +298,21 @@ def test_out_of_formation_or_in_doubt_of_a_peer_it_publishes_no_rft() -> None:
     assert at.tick(FORMS).rft is None
 
 
+def test_a_follower_publishes_the_mean_of_those_that_it_follows() -> None:
+    """By the weights of the paper where the law tells none: of PrC 1 and 2, two thirds and one third."""
+    at = kept_off()
+    at.guidance = Guidance()
+    at.states = (
+        Neighbour((3.0, 0.0, 6.0), (0.3, 0.0, 0.0), ZERO3, prc=1),
+        Neighbour((0.0, 3.0, 0.0), (0.0, 0.6, 0.0), (0.9, 0.0, 0.0), prc=2),
+    )
+    rft = at.tick(FORMS).rft
+    assert rft is not None
+    assert rft.position_enu_m == pytest.approx((2.0, 1.0, 4.0))
+    assert rft.velocity_enu_m_s == pytest.approx((0.2, 0.2, 0.0))
+    assert rft.acceleration_enu_m_s2 == pytest.approx((0.3, 0.0, 0.0))
+
+
 def test_without_a_reference_and_without_neighbours_there_is_no_rft() -> None:
     at = kept_off()
     at.guidance = Guidance()
@@ -327,6 +344,7 @@ LEANS = {"roll_rad": 0.1, "pitch_rad": -0.15, "velocity_enu_m_s": (2.0, -1.0, 0.
 def test_peers_hear_of_a_pilots_turn_by_the_attitude() -> None:
     """In still air less the drag, with the disturbance; level."""
     at = Stage()
+    at.now_s = 50.0
     at.observer.disturbance_enu_m_s2 = (0.3, -0.2, 0.0)
     found = at.tick(Flight(), **LEANS).acceleration_enu_m_s2
     x, y = level_acceleration(0.1, -0.15, 0.7)
@@ -408,3 +426,27 @@ def test_what_was_rejected_and_the_largest_step_are_reported() -> None:
     at.settled(FORMS)
     assert at.tick(FORMS, roll_rad=2.0).rejected == {Code.SETPOINT_IMPOSSIBLE: 1}
     assert at.tick(FORMS).largest_step_deg == at.stream.largest_step_deg > 0.0
+
+
+def test_what_the_stream_commanded_is_no_longer_flown_once_it_has_ended() -> None:
+    at = Stage()
+    at.settled(FORMS)
+    assert at.tick(HOLDS).acceleration_enu_m_s2 == ZERO3
+
+
+def test_outside_formation_no_other_vehicle_takes_a_share() -> None:
+    """More room is kept then, as all of the way is this vehicle's."""
+    kept_m = []
+    for flight in (FORMS, Flight(phase=P.RELEASE, streams=True)):
+        at = Stage()
+        at.settled(FORMS)
+        at.peers = peer_at((2.3, 2.0, 10.0), at.now_s + TICK_S)
+        at.guidance = Guidance(slot=FlownSlot((-1.5, 0.0, 0.0)), reference=REFERENCE)
+        nearest = at.tick(flight).separation.nearest
+        assert nearest is not None
+        kept_m.append(nearest.required_m)
+    assert kept_m[1] > kept_m[0] + 0.1
+
+
+def test_before_the_first_position_nothing_keeps_it_off_its_slot() -> None:
+    assert Stage().tick(FORMS, new_position=False).rft is None

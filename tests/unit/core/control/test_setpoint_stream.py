@@ -152,6 +152,12 @@ def test_one_level_setpoint_goes_before_each_silence_without_slewing() -> None:
     assert sent.final_level_setpoint(0.52) == level
 
 
+def test_a_stream_that_has_sent_nothing_levels_before_its_silence_too() -> None:
+    sent = stream()
+    sent.open(0.0, FLIES)
+    assert sent.final_level_setpoint(0.02) == AttitudeTarget(0.0, 0.0, 0.7, HOVER)
+
+
 def test_a_setpoint_is_believed_to_be_flown_for_a_while() -> None:
     sent = stream()
     sent.open(0.0, FLIES)

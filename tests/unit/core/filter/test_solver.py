@@ -311,6 +311,22 @@ def test_of_a_contradiction_the_lower_rank_gives_way_by_no_more_than_it_must(
     assert short == pytest.approx([0.0, 1.2, 1.2], abs=1e-4)
 
 
+ORDER = ("GROUND", "VEHICLE", "OBSTACLE", "FENCE", "MARGIN", "SPEED", "UNSHAKEN")
+
+
+@pytest.mark.parametrize(("first", "second"), list(combinations(ORDER, 2)))
+def test_the_ranks_give_way_in_this_order(first: str, second: str) -> None:
+    asked = [to_constraint(WEST, 1.0, Rank[second]), to_constraint(EAST, 3.0, Rank[first])]
+    assert filter_acceleration((0.0, 0.0, 0.0), asked, LIMITS)[0] == pytest.approx(3.0, abs=1e-3)
+    assert [rank.name for rank in Rank] == ["LIMIT", *ORDER]
+
+
+@pytest.mark.parametrize("name", ORDER)
+def test_what_can_be_flown_comes_before_all(name: str) -> None:
+    u = filter_acceleration(ZERO3, [to_constraint((0.0, 0.0, 1.0), 30.0, Rank[name])], LIMITS)
+    assert u[2] == pytest.approx(LIMITS.highest_m_s2, abs=1e-3)
+
+
 def test_shortfalls_are_the_worst_of_each_rank() -> None:
     rows = [
         to_constraint(EAST, 3.0, Rank.FENCE),

@@ -438,3 +438,21 @@ def test_a_vehicle_without_limits_of_speed_is_never_slowed() -> None:
     for now_s in (NOW_S, NOW_S + 9.0):
         own = replace(vehicle((20.0, 0.0, 5.0), (-40.0, 0.0, 2.0)), position_time_s=now_s)
         assert at.acceleration(now_s, own, {}, wanted) is wanted
+
+
+@pytest.mark.parametrize("climb_m_s", [-2.19, -1.9, 0.0, 1.9, 3.19])
+@pytest.mark.parametrize("wanted_up_m_s2", [-9.0, -0.5, 9.0])
+def test_within_the_limits_of_speed_a_wish_is_let_be_for_ever(climb_m_s: float, wanted_up_m_s2: float) -> None:
+    wanted = (0.0, 0.0, wanted_up_m_s2)
+    at = CommandMonitor(SEPARATION_M, Airspace(Fence((-9e3, -9e3, -9e3), (9e3, 9e3, 9e3)), ()), SPEEDS)
+    for now_s in (NOW_S, NOW_S + 9.0):
+        own = replace(vehicle((0.0, 0.0, climb_m_s)), position_time_s=now_s)
+        assert at.acceleration(now_s, own, {}, wanted) is wanted
+
+
+def test_a_slow_fleet_brakes_its_climb_downwards() -> None:
+    slow = dataclasses.replace(SPEEDS, max_climb_m_s=0.4)
+    at = CommandMonitor(SEPARATION_M, Airspace(FENCE, ()), slow)
+    at.acceleration(NOW_S, vehicle((0.0, 0.0, 0.8)), {}, ZERO3)
+    own = replace(vehicle((0.0, 0.0, 0.8)), position_time_s=NOW_S + 2.0)
+    assert at.acceleration(NOW_S + 2.0, own, {}, ZERO3) == pytest.approx((0.0, 0.0, -1.6))

@@ -559,18 +559,20 @@ def test_the_table_names_the_values_that_the_code_uses() -> None:
     assert not [row.condition for row in rows.values() if "{" in row.raised + row.clears]
 
 
-@pytest.mark.parametrize("flag", list(F))
-def test_each_step_is_due_at_its_time_exactly(flag: HealthFlag) -> None:
-    (row,) = (row for row in FAILSAFES if row.condition == flag)
-    due_s = [due_s for due_s, _ in schedule(row.steps, SETTINGS)]
-    expected = {*IN_FORMATION[flag].values(), *AFTERWARDS.get(flag, {}).values()}
-    assert sorted(set(due_s)) == pytest.approx(sorted(expected))
+def test_each_step_is_due_at_its_time_exactly() -> None:
+    for row in FAILSAFES:
+        flag = HealthFlag(row.condition)
+        due_s = {due_s for due_s, _ in schedule(row.steps, SETTINGS)}
+        expected = {*IN_FORMATION[flag].values(), *AFTERWARDS.get(flag, {}).values()}
+        assert sorted(due_s) == pytest.approx(sorted(expected))
 
 
 def test_what_the_fleet_file_does_not_choose() -> None:
     """A low battery lands, a leader alone holds after 5 s, and nothing else lands by itself."""
     chosen = FailsafeSettings()
     assert (chosen.low_battery_action, chosen.land_after_s, chosen.leader_holds_after_s) == (A.LAND, None, 5.0)
+    (row,) = (row for row in FAILSAFES if row.condition is Code.FLEET_LINK_LOST)
+    assert schedule(row.steps, chosen) == ((0.0, A.WARN), (5.0, A.HOLD))
 
 
 def test_a_handed_over_stream_ends_after_this_time() -> None:
@@ -611,6 +613,22 @@ def test_the_watch_is_idle_once_nothing_is_remembered() -> None:
     assert not watch.is_idle  # it still lands
     watch.update(3.2, P.OBSERVE, set(), False)
     assert watch.is_idle
+
+
+def test_the_flags_that_act_in_any_hold_and_those_that_are_latched() -> None:
+    acting, latched = set(), set()
+    for flag in F:
+        held = FailsafeWatch(SETTINGS)
+        held.update(0.0, P.HOLD, {flag}, False)
+        if held.update(60.0, P.HOLD, {flag}, False).action in (A.RETURN, A.LAND):
+            acting.add(flag)
+        ended = FailsafeWatch(SETTINGS)
+        for now_s in (0.0, 60.0):
+            ended.update(now_s, P.FORMATION, {flag}, False)
+        if ended.update(60.1, P.HOLD, set(), False).action is not A.NONE:
+            latched.add(flag)
+    assert acting == set(IN_A_COMMANDED_HOLD)
+    assert latched == set(LATCHED)
 
 
 def test_the_watch_is_not_idle_while_it_remembers_what_ended_the_formation() -> None:
