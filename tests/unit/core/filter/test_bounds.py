@@ -318,6 +318,25 @@ def test_traffic_is_avoided_while_it_is_remembered() -> None:
     )
 
 
+def test_one_that_no_evasion_shakes_off_is_named_and_no_longer_evaded() -> None:
+    one, wanted, unshaken_s, found = stage(), (0.3, 0.1, 0.0), None, []
+    for tick in range(200):
+        now_s = NOW_S + 0.02 * tick
+        on_top = {2: replace(peer((0.5, 0.0, 20.0)), measured_s=now_s, received_s=now_s)}
+        own = replace(OWN, position_time_s=now_s)
+        found.append(one.step(now_s, own, None, on_top, on_top, wanted, ZERO3, ZERO3))
+        if unshaken_s is None and found[-1].separation.unshaken:
+            unshaken_s = now_s - NOW_S
+    assert unshaken_s == pytest.approx(2.0, abs=0.05)
+    assert found[50].acceleration_enu_m_s2[0] < -3.0 and found[50].separation.unshaken == ()
+    assert found[-1].separation.unshaken == ("2",) and one.is_pressed
+    assert found[-1].acceleration_enu_m_s2 == wanted
+    for tick in range(200, 900):  # it has left
+        now_s = NOW_S + 0.02 * tick
+        one.step(now_s, replace(OWN, position_time_s=now_s), None, {}, {}, wanted, ZERO3, ZERO3)
+    assert not one.is_pressed
+
+
 def test_a_vehicle_plans_to_brake_with_half_of_its_tilt_and_alone_with_six_tenths_of_that() -> None:
     settings, half_m_s2 = (
         separation_settings_of(FLEET, 2),
