@@ -239,7 +239,7 @@ class WireTap(Background):
             self._front.sendto(data, self._autopilot)
 
 
-UNDER_WAY = 2  # setpoints that may already be on their way
+UNDER_WAY = 3  # setpoints that may already be on their way, and the last one before a silence
 
 
 CLIMBED_M = 1.0
@@ -247,7 +247,7 @@ CLIMBED_M = 1.0
 
 @dataclass(frozen=True)
 class AutopilotCase:
-    """What differs between the autopilots. `final_setpoints` is the number of level setpoints that end a stream."""
+    """What differs between the autopilots."""
 
     stand_in: str
     formation_mode: int
@@ -257,7 +257,6 @@ class AutopilotCase:
     hold_mode_name: str
     pilots_mode: tuple[int, int]
     hover_thrust_norm: float
-    final_setpoints: int
     leaves_formation_by_itself: bool  # without setpoints
 
 
@@ -271,7 +270,6 @@ PX4 = AutopilotCase(
     hold_mode_name="LOITER",
     pilots_mode=(4, 3),
     hover_thrust_norm=0.49,
-    final_setpoints=0,
     leaves_formation_by_itself=True,
 )
 
@@ -286,7 +284,6 @@ ARDUPILOT = AutopilotCase(
     hold_mode_name="BRAKE",
     pilots_mode=(5, 0),
     hover_thrust_norm=0.365,
-    final_setpoints=1,
     leaves_formation_by_itself=False,
 )
 
@@ -358,18 +355,9 @@ class TappedFlight:
         assert self.stand_in.newest.mode != "OFFBOARD"  # type: ignore[union-attr]
 
     def is_silent(self, since_s: float) -> bool:
-        """No setpoint of the law since then except those on their way; level final setpoints where the make needs them."""
-        sent = self.tap.setpoints_since(since_s)
-        if self.make.final_setpoints:
-            last = self.tap.setpoints[-1]
-            assert last.is_level
-            assert last.thrust_norm == pytest.approx(self.make.hover_thrust_norm, rel=0.1)
-        assert sum(setpoint.is_level for setpoint in sent) <= self.make.final_setpoints
-        return sum(not setpoint.is_level for setpoint in sent) <= UNDER_WAY
-
-    def law_setpoints_since(self, time_s: float) -> list[Setpoint]:
-        """Setpoints without the final, level ones."""
-        return [setpoint for setpoint in self.tap.setpoints_since(time_s) if not setpoint.is_level]
+        """No setpoint since then except those on their way and the last one before the silence, which hovers."""
+        assert self.tap.setpoints[-1].thrust_norm == pytest.approx(self.make.hover_thrust_norm, rel=0.1)
+        return len(self.tap.setpoints_since(since_s)) <= UNDER_WAY
 
 
 @contextmanager

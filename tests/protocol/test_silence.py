@@ -1,8 +1,7 @@
 """When the agent must send no setpoints, measured at the autopilot's end of the link: a real agent, a real stand-in.
 
 All tests run with both makes. Time limits are tested in virtual time (tests/unit/core). The limits here do not depend on the
-load of the machine: they compare the number of setpoints with that of positions, and the order of events. The wind tilts every
-setpoint of the law, so a level setpoint is a final one.
+load of the machine: they compare the number of setpoints with that of positions, and the order of events.
 """
 
 from __future__ import annotations
@@ -37,12 +36,12 @@ def test_a_short_gap_in_positions_pauses_the_stream(flight: tuple[TappedFlight, 
     vehicle.tap.is_cut = True
     time.sleep(0.3)
     vehicle.tap.is_cut = False
-    until(lambda: len(vehicle.law_setpoints_since(start_s + 0.3)) > 10)
+    until(lambda: len(vehicle.tap.setpoints_since(start_s + 0.3)) > 10)
     # At most one setpoint for each position: none is repeated, none is sent later.
-    setpoints = vehicle.law_setpoints_since(start_s)
+    setpoints = vehicle.tap.setpoints_since(start_s)
     assert len(setpoints) <= len(vehicle.tap.positions_since(start_s)) + UNDER_WAY
-    times_s = [setpoint.at_s for setpoint in vehicle.law_setpoints_since(start_s - 0.1)]
-    assert max(b - a for a, b in pairwise(times_s)) > 0.2
+    times_s = [setpoint.at_s for setpoint in vehicle.tap.setpoints_since(start_s - 0.1)]
+    assert max(b - a for a, b in pairwise(times_s)) > 0.15
     assert vehicle.phase is FlightPhase.FORMATION
 
 
@@ -73,8 +72,8 @@ def test_an_agent_resumed_after_a_pause_sends_no_late_setpoints(flight: tuple[Ta
     assert len(vehicle.tap.positions_since(stopped_s)) > 8
     resumed_s = time.monotonic()
     process.process.send_signal(signal.SIGCONT)
-    until(lambda: len(vehicle.law_setpoints_since(resumed_s)) > 10)
-    assert len(vehicle.law_setpoints_since(resumed_s)) <= len(vehicle.tap.positions_since(resumed_s)) + UNDER_WAY
+    until(lambda: len(vehicle.tap.setpoints_since(resumed_s)) > 10)
+    assert len(vehicle.tap.setpoints_since(resumed_s)) <= len(vehicle.tap.positions_since(resumed_s)) + UNDER_WAY
 
 
 def test_an_agent_resumed_after_a_long_pause_observes(flight: tuple[TappedFlight, Running]) -> None:
@@ -90,7 +89,7 @@ def test_an_agent_resumed_after_a_long_pause_observes(flight: tuple[TappedFlight
     assert vehicle.tap.setpoints_since(stopped_s) == []
     process.process.send_signal(signal.SIGCONT)
     until(lambda: vehicle.phase in (FlightPhase.OBSERVE, FlightPhase.HOLD))
-    assert vehicle.law_setpoints_since(stopped_s) == []
+    assert vehicle.tap.setpoints_since(stopped_s) == []
     if vehicle.make.leaves_formation_by_itself:
         vehicle.observes_and_sends_nothing(2.0)
 

@@ -245,7 +245,8 @@ class SetpointStage:
         observer.update(FlightSample(vehicle.position_time_s, vehicle.velocity_enu_m_s, attitude_rad, thrust_norm))
 
 
-ENDS_AFTER_S = 0.06  # without a setpoint; a position that comes late after all is worth waiting for
+ENDS_AFTER_S = 0.04  # without a setpoint; a position that comes late after all is worth waiting for
+ENDS_WITHIN_S = 0.2
 STOPS_IN_S = 1.5  # PX4's COM_OF_LOSS_T and ArduCopter's GUID_TIMEOUT are 0.6 to 2 s, with `companion doctor --fix` 1 s
 STOPS_M_S2 = 1.5  # at most: the velocity may have changed meanwhile
 ATTITUDE_FRESH_S = 0.1  # five periods of 50 Hz
@@ -318,9 +319,10 @@ class SetpointStream:
     def last_before_silence(self, now_s: float, vehicle: VehicleState) -> AttitudeTarget | None:
         """Braking against the wind, once in each silence: an autopilot goes on with the last setpoint for a while.
 
-        What the vehicle flew a moment ago may have been an evasion. The velocity is the last one known.
+        What the vehicle flew a moment ago may have been an evasion. The velocity is the last one known. After ENDS_WITHIN_S
+        none is sent: an agent that was frozen must not disturb what the autopilot does by itself.
         """
-        if self._ended or now_s - self.sent_s < ENDS_AFTER_S:
+        if self._ended or not ENDS_AFTER_S <= now_s - self.sent_s <= ENDS_WITHIN_S:
             return None
         self._ended = True
         (vx, vy, vz), (dx, dy, dz) = vehicle.velocity_enu_m_s, self.observer.disturbance_enu_m_s2

@@ -109,7 +109,7 @@ def test_the_hand_over_begins_level_and_steps_little() -> None:
     assert 0.0 < max(steps) <= 400.0 * 0.02 * 3.1416 / 180.0 + 1e-9
 
 
-ENDS_AFTER_TICKS = 4  # ENDS_AFTER_S of 20 ms each
+ENDS_AFTER_TICKS = 3  # ENDS_AFTER_S of 20 ms each, and the tick in which it is over
 
 
 @pytest.mark.parametrize("ticks", [1, 5, 20])

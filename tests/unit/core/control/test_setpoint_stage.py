@@ -21,7 +21,6 @@ from companion.core.safety.limits import OutputLimits
 from companion.core.safety.safeguard import SAFE, Safety
 from companion.geometry.airspace import Airspace, Fence
 from companion.laws import Law, Neighbour, Own, Values
-from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import AttitudeTarget, AutopilotKind, AutopilotMode, LandedState, VehicleState
 from companion.types.flight import COOPERATING, FailsafeAction, Flight, FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationState, Gains
@@ -84,7 +83,6 @@ class Stage:
             stream=self.stream,
             flown_for_s=FLOWN_FOR_S,
             drag_1_s=DRAG_1_S,
-            profiles=PROFILES,
         )
         self.now_s, self.vehicle, self.flight = 0.0, FLIES, HOLDS
         self.guidance, self.peers, self.states = Guidance(reference=REFERENCE), PeerSets(), ()
@@ -202,28 +200,25 @@ def test_without_a_stream_nothing_is_sent(phase: FlightPhase) -> None:
     assert (found.target, found.acceleration_enu_m_s2, found.separation) == (None, ZERO3, SeparationReport())
 
 
+@pytest.mark.parametrize("kind", list(AutopilotKind))
 @pytest.mark.parametrize(
-    ("kind", "mode", "levels"),
-    [
-        (AutopilotKind.ARDUPILOT, AutopilotMode.OFFBOARD, True),
-        (AutopilotKind.ARDUPILOT, AutopilotMode.HOLD, False),
-        (AutopilotKind.PX4, AutopilotMode.OFFBOARD, False),
-    ],
+    ("mode", "roll_rad", "ends"),
+    [(AutopilotMode.OFFBOARD, 0.0, True), (AutopilotMode.HOLD, 0.0, False), (AutopilotMode.OFFBOARD, 2.0, False)],
 )
-@pytest.mark.parametrize("streams_on", [True, False])
-def test_silence_begins_with_one_level_setpoint_where_the_autopilot_would_fly_on(
-    streams_on: bool, kind: AutopilotKind, mode: AutopilotMode, levels: bool
+def test_silence_begins_with_one_last_setpoint_while_the_autopilot_follows_and_is_upright(
+    kind: AutopilotKind, mode: AutopilotMode, roll_rad: float, ends: bool
 ) -> None:
     at = Stage()
     at.settled(FORMS)
-    silent = FORMS if streams_on else Flight(phase=P.HOLD)
-    found = [at.tick(silent, SILENCE, autopilot=kind, mode=mode).target for _ in range(3)]
-    assert found == [AttitudeTarget(0.0, 0.0, 0.7, HOVER) if levels else None, None, None]
+    found = [at.tick(FORMS, SILENCE, autopilot=kind, mode=mode, roll_rad=roll_rad).target for _ in range(15)]
+    sent = [target for target in found if target is not None]
+    assert len(sent) == ends
+    assert all((target.roll_rad, target.pitch_rad) == (0.0, 0.0) for target in sent)  # it hovers
 
 
-def test_a_vehicle_that_never_streamed_levels_nothing() -> None:
-    found = Stage().tick(HOLDS, SILENCE, autopilot=AutopilotKind.ARDUPILOT)
-    assert found.target is None
+def test_a_vehicle_that_never_streamed_ends_nothing() -> None:
+    at = Stage()
+    assert [at.tick(HOLDS, SILENCE).target for _ in range(6)] == [None] * 6
 
 
 # ---------------------------------------------------------------- other vehicles

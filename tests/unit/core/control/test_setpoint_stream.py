@@ -140,16 +140,43 @@ def test_a_stream_has_used_no_position_at_first() -> None:
     assert (sent.sent_s, sent.largest_step_deg) == (0.0, 0.0)
 
 
-def test_one_level_setpoint_goes_before_each_silence_without_slewing() -> None:
+def test_one_setpoint_that_brakes_goes_before_each_silence_without_slewing() -> None:
+    """From 1.2 m/s with 0.8 m/s^2; at most with 1.5 m/s^2, whatever the velocity was."""
     sent = stream()
     sent.open(0.0, FLIES)
     followed(sent, (3.0, 0.0, 1.0))
-    level = AttitudeTarget(0.0, 0.0, 0.7, HOVER)
-    assert sent.final_level_setpoint(0.42) == level
+    last_s, slow = sent.sent_s, at_s(sent.sent_s, velocity_enu_m_s=(1.2, 0.0, 0.0))
+    assert sent.last_before_silence(last_s + 0.039, slow) is None
+    last = sent.last_before_silence(last_s + 0.041, slow)
+    assert last is not None
+    flown = level_acceleration(last.roll_rad, last.pitch_rad, last.yaw_rad)
+    assert flown == pytest.approx((-0.8, 0.0), abs=1e-6)
     assert sent.commanded_enu_m_s2 == ZERO3
-    assert sent.final_level_setpoint(0.44) is None
-    assert sent.carry_on(0.5, at_s(0.5, roll_rad=0.02, pitch_rad=0.0))
-    assert sent.final_level_setpoint(0.52) == level
+    assert sent.last_before_silence(last_s + 0.06, slow) is None
+    assert sent.carry_on(last_s + 0.1, at_s(last_s + 0.1, roll_rad=0.02, pitch_rad=0.0))
+    fast = at_s(last_s + 0.1, velocity_enu_m_s=(0.0, 9.0, 0.0))
+    again = sent.last_before_silence(last_s + 0.15, fast)
+    assert again is not None
+    flown = level_acceleration(again.roll_rad, again.pitch_rad, again.yaw_rad)
+    assert flown == pytest.approx((0.0, -1.5), abs=1e-6)
+
+
+def test_the_last_setpoint_carries_a_vehicle_that_climbs_or_sinks() -> None:
+    sent = stream()
+    sent.open(0.0, FLIES)
+    followed(sent, (0.0, 0.0, 0.0))
+    sinks = at_s(sent.sent_s, velocity_enu_m_s=(0.0, 0.0, -0.75))
+    last = sent.last_before_silence(sent.sent_s + 0.05, sinks)
+    assert last is not None and last.thrust_norm == pytest.approx(HOVER * (1.0 + 0.5 / GRAVITY_M_S2))
+
+
+def test_an_agent_that_was_frozen_sends_no_late_last_setpoint() -> None:
+    sent = stream()
+    sent.open(0.0, FLIES)
+    followed(sent, (3.0, 0.0, 1.0))
+    last_s = sent.sent_s
+    assert sent.last_before_silence(last_s + 0.21, FLIES) is None
+    assert sent.last_before_silence(last_s + 0.19, FLIES) is not None
 
 
 def test_a_stream_that_has_sent_nothing_levels_before_its_silence_too() -> None:
