@@ -179,10 +179,10 @@ def test_an_agent_that_was_frozen_sends_no_late_last_setpoint() -> None:
     assert sent.last_before_silence(last_s + 0.19, FLIES) is not None
 
 
-def test_a_stream_that_has_sent_nothing_levels_before_its_silence_too() -> None:
+def test_a_stream_that_has_sent_nothing_hovers_before_its_silence_too() -> None:
     sent = stream()
     sent.open(0.0, FLIES)
-    assert sent.final_level_setpoint(0.02) == AttitudeTarget(0.0, 0.0, 0.7, HOVER)
+    assert sent.last_before_silence(0.04, FLIES) == AttitudeTarget(0.0, 0.0, 0.7, HOVER)
 
 
 def test_a_setpoint_is_believed_to_be_flown_for_a_while() -> None:
