@@ -101,6 +101,7 @@ class AgentFlight:
         self.peer_position: Vector3 | None = (0.0, 0.0, 1.0)
         self.outbox = Outbox()
         self.sends_origin = True
+        self.kind = AutopilotKind.PX4
         self.home: Vector3 = self.position  # follows the vehicle while that is on the ground
         self.parameters = dict(PARAMETERS)
         self.battery_percent = 90.0
@@ -135,7 +136,7 @@ class AgentFlight:
         return [
             AttitudeSample(t, self.roll_rad, 0.0, 0.3),
             ModeSample(t, self.mode, self.mode),
-            HeartbeatSample(t, self.armed, AutopilotKind.PX4),
+            HeartbeatSample(t, self.armed, self.kind),
             LandedSample(t, self.landed),
             *([OriginSample(t, *ORIGIN)] if RequestOrigin() in self.outbox.requests and self.sends_origin else []),
             HomeSample(t, *geodetic_from_enu(self.home, ORIGIN)[:2]),

@@ -186,7 +186,8 @@ class SafeguardStage:
         reason = reason.about(f"no setpoint for {SILENT_TOO_LONG_S} s")
         (step,) = BY_CONDITION[Code.NO_SETPOINT].steps_of(profile_of(vehicle, self._profiles))
         holds = step.action is FailsafeAction.HOLD and now_s - vehicle.mode_time_s < MODE_SURE_S
-        self._gave_up_s = None if holds else now_s
+        flies_on = profile_of(vehicle, self._profiles).flies_on_in_silence
+        self._gave_up_s = now_s if flies_on and not holds else None
         return [PhaseRequest(PhaseChange.HAND_OVER_NOW if holds else PhaseChange.GIVE_UP, reason), end]
 
     def _hold_after_all(

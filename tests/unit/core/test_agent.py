@@ -16,6 +16,7 @@ from companion.core.control.setpoint import STOPS_IN_S, level_acceleration
 from companion.types.autopilot import (
     AttitudeSample,
     AttitudeTarget,
+    AutopilotKind,
     AutopilotMode,
     HeartbeatSample,
     LandedSample,
@@ -147,13 +148,29 @@ def test_the_stream_stays_ended_after_a_long_silence() -> None:
     for _ in range(50):
         flight.tick()
     assert len(flight.targets) == before
-    # No pilot has taken over, and an autopilot that still waits for setpoints drifts.
+    assert flight.agent.phase is FlightPhase.OBSERVE
+
+
+def test_an_arducopter_that_still_waits_for_setpoints_after_a_long_silence_is_asked_to_hold() -> None:
+    """Its own failsafe does not act: it drifts. No pilot has taken over."""
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
+    flight.kind = AutopilotKind.ARDUPILOT
+    flight.tick()
+    for _ in range(30):
+        flight.tick(telemetry=[])
+    before = len(flight.targets)
+    assert flight.agent.phase is FlightPhase.OBSERVE
+    for _ in range(40):
+        flight.tick()
+    assert len(flight.targets) == before
     assert flight.agent.phase is FlightPhase.HOLD
     assert flight.mode is AutopilotMode.HOLD
 
 
 def test_a_pilot_who_took_over_in_a_long_silence_keeps_the_vehicle() -> None:
     flight = AgentFlight().fly_to(FlightPhase.FORMATION)
+    flight.kind = AutopilotKind.ARDUPILOT
+    flight.tick()
     for _ in range(30):
         flight.tick(telemetry=[])
     flight.mode = AutopilotMode.OTHER
