@@ -124,7 +124,7 @@ class SetpointStage:
                 self._separation, self._removed_m_s2 = safe.separation, safe.removed_accel_m_s2
                 allowed_enu_m_s2 = stream.checked(now_s, vehicle, fresh, safe.acceleration_enu_m_s2)
                 attitude_target = stream.follow(now_s, vehicle, allowed_enu_m_s2)
-        elif before.streams and vehicle.mode is OFFBOARD and carries(vehicle):
+        elif before.streams and vehicle.mode is OFFBOARD and carries(vehicle) and self._ends(now_s, flight):
             attitude_target = stream.last_before_silence(now_s, vehicle)
         rft = None
         # The RFT of before may be that of a peer in doubt, and followers would confirm it to each other.
@@ -147,6 +147,10 @@ class SetpointStage:
             rft=rft,
             law_values=self._law_values(vehicle, phase, consensus, guidance, rft) if self._publishes else (),
         )
+
+    def _ends(self, now_s: float, flight: Flight) -> bool:
+        """The stream ends by decision, or no new position has come for a while."""
+        return not flight.streams or now_s - self._stream.sent_s >= ENDS_AFTER_S
 
     def _begin(self, now_s: float, vehicle: VehicleState) -> None:
         self._stream.open(now_s, vehicle)
@@ -322,7 +326,7 @@ class SetpointStream:
         What the vehicle flew a moment ago may have been an evasion. The velocity is the last one known. After ENDS_WITHIN_S
         none is sent: an agent that was frozen must not disturb what the autopilot does by itself.
         """
-        if self._ended or not ENDS_AFTER_S <= now_s - self.sent_s <= ENDS_WITHIN_S:
+        if self._ended or now_s - self.sent_s > ENDS_WITHIN_S:
             return None
         self._ended = True
         (vx, vy, vz), (dx, dy, dz) = vehicle.velocity_enu_m_s, self.observer.disturbance_enu_m_s2

@@ -214,6 +214,16 @@ def test_silence_begins_with_one_last_setpoint_while_the_autopilot_follows_and_i
     sent = [target for target in found if target is not None]
     assert len(sent) == ends
     assert all((target.roll_rad, target.pitch_rad) == (0.0, 0.0) for target in sent)  # it hovers
+    if ends:
+        assert found[0] is None  # a position may still come
+
+
+@pytest.mark.parametrize("kind", list(AutopilotKind))
+def test_a_stream_that_ends_by_decision_ends_with_one_at_once(kind: AutopilotKind) -> None:
+    at = Stage()
+    at.settled(FORMS)
+    found = [at.tick(Flight(phase=P.HOLD), SILENCE, autopilot=kind).target for _ in range(3)]
+    assert [target is not None for target in found] == [True, False, False]
 
 
 def test_a_vehicle_that_never_streamed_ends_nothing() -> None:

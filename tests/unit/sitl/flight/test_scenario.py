@@ -269,7 +269,7 @@ def test_overrides_are_yaml_values_at_their_keys() -> None:
 
 
 def test_a_reference_of_a_fleet_whose_turning_slots_need_all_tilt_is_refused_in_words() -> None:
-    circle = "{kind: circle, centre_enu_m: [0, 0, 3], radius_m: 10, clockwise: false, period_s: 600, ramp_s: 80}"
+    circle = "{kind: circle, centre_enu_m: [0, 0, 3], radius_m: 10, clockwise: false, period_s: 600, ramp_s: 60}"
     text = error_of("fleet.formation_heading=course", "fleet.envelope.max_tilt_deg=5", f"reference={circle}")
     assert "fleet.envelope.max_tilt_deg: 5 is no more than what slots need that turn" in text
 
