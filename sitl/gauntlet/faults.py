@@ -142,7 +142,7 @@ def lost_gps(random: Random, fleet: DrawnFleet) -> FamilyPlan:
 
 
 def _lose_gps(random: Random, fleet: DrawnFleet, plan: FamilyPlan) -> None:
-    """Of a vehicle without a pilot: nobody knows where one flies that has both."""
+    """Of a vehicle without a pilot: no other one knows where a piloted vehicle without GPS flies."""
     plan.judges_hand_over = True
     piloted = {pilot["vehicle"] for pilot in plan.stand_in.get("pilots", ())}
     lost = random.choice([i for i in fleet.ids if i not in piloted])
@@ -245,7 +245,7 @@ def combined(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     if "wind" in plan.stand_in:
         plan.settings.pop("envelope.max_tilt_deg", None)  # with a small tilt no vehicle stays in a wind
         if fleet.autopilot is AutopilotKind.ARDUPILOT:
-            plan.links.pop("late_telemetry", None)  # it levels, and the wind carries it where nobody expects it
+            plan.links.pop("late_telemetry", None)  # it levels, and drifts unheard with the wind
     return plan
 
 

@@ -1,6 +1,6 @@
 """Families of flights in which admitted vehicles say false things of themselves: all that a lie holds is drawn.
 
-The liars fly as their agents do, by the truth. Where they really are nobody knows but they: distances to them do not count.
+The liars fly as their agents do, by the truth. No other vehicle knows where they really are: distances to them do not count.
 """
 
 from __future__ import annotations

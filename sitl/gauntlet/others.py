@@ -59,7 +59,7 @@ class LeadTaken(Struct, frozen=True, kw_only=True):
 
 
 def lead_taken(scenario: Scenario, watch: FlightWatch, liars: Collection[int]) -> LeadTaken | None:
-    """The first change of the leader that nobody with the right to has made.
+    """The first change of the leader without a right to it.
 
     The right to have the leaders of the file, those of commands, and a liar that may lead; where a leader lies, its successors.
     """

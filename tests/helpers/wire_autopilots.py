@@ -239,7 +239,8 @@ class WireTap(Background):
             self._front.sendto(data, self._autopilot)
 
 
-UNDER_WAY = 3  # setpoints that may already be on their way, and the last one before a silence
+UNDER_WAY = 2  # setpoints that may already be on their way
+ENDS = 1  # the last one before a silence, which brakes
 
 
 CLIMBED_M = 1.0
@@ -357,7 +358,7 @@ class TappedFlight:
     def is_silent(self, since_s: float) -> bool:
         """No setpoint since then except those on their way and the last one before the silence, which hovers."""
         assert self.tap.setpoints[-1].thrust_norm == pytest.approx(self.make.hover_thrust_norm, rel=0.1)
-        return len(self.tap.setpoints_since(since_s)) <= UNDER_WAY
+        return len(self.tap.setpoints_since(since_s)) <= UNDER_WAY + ENDS
 
 
 @contextmanager

@@ -4,7 +4,7 @@ Of two vehicles that do not hear each other each keeps off all that the other on
 both evade, neither is where the other one believes it to be. One silent vehicle has lost its agent or its radio, and the
 others hear each other: they evade. Where several fall silent at once, agents live on both sides of a split network. If slots
 move then, or vehicles are not placed as their slots, all brake at once, on a straight line, and wait; that needs less room than
-any evasion. In a formation that keeps its shape nobody has to evade: it flies on.
+any evasion. A formation that keeps its shape flies on: no vehicle has to evade.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SEVERAL = 2  # silent vehicles at once
 AT_ONCE_S = 1.0  # between the last packets of vehicles that fall silent at once
 PLACED_WITHIN_M = 0.5  # of the offset of their slots
 NEAR_M = 12.0  # of the last position; farther away a vehicle matters to no evasion
-WAITS_S = 30.0  # from the last packet on; for how long a vehicle waits that nobody ends by command
+WAITS_S = 30.0  # the longest wait, from the last packet on
 
 
 class Split:

@@ -184,10 +184,10 @@ class SafeguardStage:
         if flight.phase not in STREAMING or vehicle.autopilot is None:
             return [end]
         reason = reason.about(f"no setpoint for {SILENT_TOO_LONG_S} s")
-        (step,) = BY_CONDITION[Code.NO_SETPOINT].steps_of(profile_of(vehicle, self._profiles))
+        profile = profile_of(vehicle, self._profiles)
+        (step,) = BY_CONDITION[Code.NO_SETPOINT].steps_of(profile)
         holds = step.action is FailsafeAction.HOLD and now_s - vehicle.mode_time_s < MODE_SURE_S
-        flies_on = profile_of(vehicle, self._profiles).flies_on_in_silence
-        self._gave_up_s = now_s if flies_on and not holds else None
+        self._gave_up_s = now_s if profile.flies_on_in_silence and not holds else None
         return [PhaseRequest(PhaseChange.HAND_OVER_NOW if holds else PhaseChange.GIVE_UP, reason), end]
 
     def _hold_after_all(
