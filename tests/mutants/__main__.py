@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections import defaultdict
 from collections.abc import Callable, Collection
 from pathlib import Path
 
+from sitl.report.progress import ShareProgress
 from tests.mutants.mutate import Key, Mutant, mutants_of
 from tests.mutants.trial import run
 
@@ -85,22 +85,17 @@ def _run(
 ) -> dict[Key, bool]:
     """Whether each mutant was killed."""
     results: dict[Key, bool] = {}
-    begin_s = time.monotonic()
+    with ShareProgress(quiet=False) as progress:
+        progress.begin("mutants")
 
-    def report(mutant: Mutant, killed: bool) -> None:
-        results[mutant.key] = killed
-        if not killed:
-            survives(mutant.key)
-        alive = len(results) - sum(results.values())
-        print(
-            f"\r{len(results)} of {len(mutants)} mutants, {alive} survived, {time.monotonic() - begin_s:.0f} s ",
-            end="",
-            file=sys.stderr,
-            flush=True,
-        )
+        def report(mutant: Mutant, killed: bool) -> None:
+            results[mutant.key] = killed
+            if not killed:
+                survives(mutant.key)
+            alive = len(results) - sum(results.values())
+            progress.show(len(results) / len(mutants), f"{len(results)} of {len(mutants)}, {alive} survived")
 
-    run(tests, mutants, listed, report)
-    print(file=sys.stderr)
+        run(tests, mutants, listed, report)
     return results
 
 

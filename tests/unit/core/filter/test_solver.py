@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from scipy.optimize import linprog
 
+from common import count_calls
 from companion.core.filter.solver import AccelerationLimits, Constraint, Rank, filter_acceleration, shortfalls
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
@@ -333,9 +334,11 @@ def test_shortfalls_are_the_worst_of_each_rank() -> None:
         to_constraint(NORTH, 3.5, Rank.FENCE),
         to_constraint((0.0, 0.6, 0.8), 1.0, Rank.VEHICLE),
         to_constraint(WEST, -9.0, Rank.SPEED),
+        to_constraint(EAST, 1.1, Rank.LIMIT),
+        to_constraint(EAST, 1.2, Rank.UNSHAKEN),
     ]
     found = shortfalls((1.0, 2.0, -1.0), rows)
-    assert found == pytest.approx([1e-6, 1e-6, 0.6, 1e-6, 2.0, 1e-6, 1e-6, 1e-6])
+    assert found == pytest.approx([0.1, 1e-6, 0.6, 1e-6, 2.0, 1e-6, 1e-6, 0.2])
 
 
 def test_the_limits_are_a_cut_cone_about_the_wind() -> None:
@@ -382,3 +385,103 @@ def test_a_constraint_that_no_vehicle_violates_is_left_out_and_a_met_one_is_met_
     assert filter_acceleration(u, both, FREE) == pytest.approx((-13.0, 1.0, 0.0))  # below -12: never active
     both = [to_constraint(EAST, -11.5), to_constraint(NORTH, 1.0)]
     assert filter_acceleration(u, both, FREE) == pytest.approx((-11.5, 1.0, 0.0))
+
+
+# ---------------------------------------------------------------- steps, and what the limits leave of a corner
+
+
+def test_of_half_a_solution_and_the_wish_that_counts_which_misses_the_higher_rank_by_less() -> None:
+    """Two steps end in the contradiction: by then the fence, which asks for more, has led 3 m/s^2 towards the vehicle."""
+    asked = [to_constraint(EAST, 3.0, Rank.FENCE), to_constraint(WEST, 1.0, Rank.VEHICLE)]
+    assert filter_acceleration(ZERO3, asked, LIMITS, 2) == ZERO3
+    assert filter_acceleration(ZERO3, asked, LIMITS, 3)[0] == pytest.approx(-1.0, abs=1e-3)
+
+
+def test_a_step_in_which_a_constraint_leaves_counts_as_well() -> None:
+    asked = [
+        to_constraint(WEST, 1.9),
+        to_constraint(direction(3, 4, 2), 1.9),
+        to_constraint(direction(-4, 3, -1), 2.4),
+    ]
+    reached = [filter_acceleration(ZERO3, asked, LIMITS, steps) for steps in (3, 4, 60)]
+    short = [max(space[3] - along(space[:3], u) for space in asked) for u in reached]
+    assert short[0] > 0.1
+    assert max(short[1:]) < 1e-5
+
+
+def test_a_constraint_that_comes_in_two_steps_leaves_no_sooner_than_it_must() -> None:
+    """Its multiplier is that of both steps."""
+    rows = (((0, 1, 3), 1.0), ((-2, -2, 3), -0.5), ((-1, 2, 3), 1.0), ((2, 0, 2), 1.0), ((-2, -2, 2), 1.0))
+    asked = [to_constraint(direction(*normal), least) for normal, least in rows]
+    expected = nearest_of_all_active_sets(ZERO3, asked)
+    assert expected is not None
+    assert filter_acceleration(ZERO3, asked, FREE, 60) == pytest.approx(expected, abs=1e-4)
+
+
+def test_what_is_at_right_angles_to_a_contradiction_keeps_what_it_asks() -> None:
+    asked = [to_constraint(NORTH, 3.5, Rank.FENCE), to_constraint(EAST, 3.0), to_constraint(WEST, 1.0)]
+    assert filter_acceleration(ZERO3, asked, LIMITS, 20) == pytest.approx((1.0, 3.5, 0.0), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("start", "asked", "within_m_s2"),
+    [
+        ((0.0, 5.9, 3.0), [to_constraint(direction(3, 0, 4), 8.0)], 0.02),
+        ((0.0, 1.2, -6.0), [to_constraint(direction(3, 0, -4), 6.2)], 1e-3),
+        ((0.0, 2.8, -3.0), [to_constraint(EAST, 2.6), to_constraint((0.0, 0.0, -1.0), 2.95)], 1e-3),
+        ((0.0, 2.8, -3.0), [to_constraint(EAST, 2.6), to_constraint(direction(3, 0, -4), 3.9)], 1e-3),
+    ],
+    ids=["beside the highest", "beside the lowest", "in a dive", "in a steeper dive"],
+)
+def test_in_a_corner_of_limits_and_constraints_the_wish_across_gives_way(
+    start: Vector3, asked: list[Constraint], within_m_s2: float
+) -> None:
+    """All that tilt and thrust allow is needed for what is asked: only the acceleration to the north can be less."""
+    u = filter_acceleration(start, asked, LIMITS, 20)
+    assert all(along(space[:3], u) == pytest.approx(space[3], abs=within_m_s2) for space in asked)
+    assert hypot(u[0], u[1]) == pytest.approx(LIMITS.level_radius_m_s2(u[2]), rel=1e-6)
+    assert LIMITS.lowest_m_s2 <= u[2] <= LIMITS.highest_m_s2
+    assert 0.0 < u[1] < start[1]
+
+
+def test_an_excess_of_tilt_by_less_than_a_hundredth_takes_no_further_step() -> None:
+    """The output limits take it off."""
+    calls = []
+    for east_m_s2 in (0.10, 0.18, 0.27):  # with 0.99 to the north 0.995, 1.006 and 1.026 of what the tilt allows
+        asked = [to_constraint(EAST, east_m_s2 * LEVEL_M_S2)]
+        with count_calls() as work:
+            filter_acceleration((0.0, 0.99 * LEVEL_M_S2, 0.0), asked, LIMITS, 60)
+        calls.append(work.calls)
+    assert calls[1] < calls[0] + 6
+    assert calls[2] > calls[0] + 10
+
+
+def test_a_contradiction_is_solved_by_relaxing_it_once() -> None:
+    """The relaxed constraints are met together, in spite of rounding."""
+    calls = []
+    for asked in ([to_constraint(EAST, 3.0)], [to_constraint(EAST, 3.0), to_constraint(WEST, 1.0)]):
+        with count_calls() as work:
+            filter_acceleration(ZERO3, asked, LIMITS, 60)
+        calls.append(work.calls)
+    assert calls[1] < 3 * calls[0]
+
+
+def test_five_steps_are_taken_where_no_number_is_given() -> None:
+    """It bounds the time of a tick."""
+    asked = [to_constraint(unit(1.2 * k, 0.3 * (-1) ** k), 2.0 + 0.2 * k, Rank(1 + k % 5)) for k in range(7)]
+    reached = [filter_acceleration(ZERO3, asked, LIMITS, steps) for steps in (4, 5, 6)]
+    assert reached[0] != pytest.approx(reached[1])
+    assert reached[2] != pytest.approx(reached[1])
+    assert filter_acceleration(ZERO3, asked, LIMITS) == reached[1]
+
+
+@pytest.mark.parametrize(("asked_m_s2", "shared_m_s2"), [(1.9, 1.1), (0.95, 0.95)])
+def test_from_one_metre_per_second_squared_on_only_what_the_wind_leaves_is_asked(
+    asked_m_s2: float, shared_m_s2: float
+) -> None:
+    """Two vehicles on both sides; the wind leaves 1.1 to the east, or 0.4, where the smaller wish counts in whole."""
+    windy = replace(LIMITS, disturbance_enu_m_s2=(min(shared_m_s2, asked_m_s2 - 0.55) - LEVEL_M_S2, 0.0, 0.0))
+    asked = [to_constraint(EAST, asked_m_s2), to_constraint(WEST, 0.9)]
+    assert filter_acceleration((-0.2, 0.0, 0.0), asked, windy, 20)[0] == pytest.approx(
+        0.5 * (shared_m_s2 - 0.9), abs=1e-3
+    )

@@ -6,11 +6,15 @@ import pytest
 from msgspec.structs import replace
 
 from common import NOW_S, peer
+from companion.assembly import safety_filter_of
 from companion.core.consensus.peers import PeerState
-from companion.core.filter.split import AT_ONCE_S, NEAR_M, WAITS_S, Split
+from companion.core.filter.split import Split
+from companion.core.filter.vehicles import ALONE_SHARE
 from companion.types.autopilot import VehicleState
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot, Gains
+from companion.types.values import ZERO3
+from one_agent import FLEET
 
 FRESH_S, BRAKING_M_S2 = 0.3, 2.0
 OWN = peer(2).packet.motion.position_enu_m
@@ -44,7 +48,9 @@ def test_one_silent_vehicle_has_lost_its_agent() -> None:
 
 
 def test_vehicles_that_fell_silent_one_after_the_other_are_behind_no_split() -> None:
-    assert behind(silent(1, 0.35), silent(3, 0.4 + AT_ONCE_S)) == frozenset()
+    """Within a second of each other they count."""
+    assert behind(silent(1, 0.35), silent(3, 1.34)) == {1, 3}
+    assert behind(silent(1, 0.35), silent(3, 1.36)) == frozenset()
 
 
 def test_a_vehicle_whose_packet_is_merely_late_does_not_count() -> None:
@@ -52,9 +58,11 @@ def test_a_vehicle_whose_packet_is_merely_late_does_not_count() -> None:
 
 
 def test_vehicles_far_away_do_not_count() -> None:
+    """From 12 m on."""
     x, y, z = OWN
-    far = silent(3, 0.35, position_enu_m=(x, y + NEAR_M + 0.1, z))
-    assert behind(silent(1, 0.35), far) == frozenset()
+    for north_m, found in ((11.9, {1, 3}), (12.1, set())):
+        far = silent(3, 0.35, position_enu_m=(x, y + north_m, z))
+        assert behind(silent(1, 0.35), far) == found
 
 
 def test_a_vehicle_that_its_autopilot_flies_does_not_count() -> None:
@@ -98,22 +106,42 @@ def test_a_split_lasts_until_all_are_heard_again() -> None:
     assert of_both.step(NOW_S, EAST, CHANGES, heard, heard) == frozenset()
 
 
-def test_nobody_waits_for_ever() -> None:
+def test_nobody_waits_longer_than_thirty_seconds() -> None:
     of_both = split()
     silent_ones = {1: silent(1, 0.35), 3: silent(3, 0.35)}
-    assert of_both.step(NOW_S, EAST, CHANGES, silent_ones, {})
-    assert not of_both.step(NOW_S + WAITS_S, EAST, CHANGES, silent_ones, {})
+    for after_s, found in ((0.0, {1, 3}), (29.6, {1, 3}), (29.7, set())):
+        assert of_both.step(NOW_S + after_s, EAST, CHANGES, silent_ones, {}) == found
+
+
+def test_a_split_goes_on_after_the_slots_have_moved_and_the_way_of_braking_stays_the_same() -> None:
+    of_both, silent_ones = split(), {1: silent(1, 0.35), 3: silent(3, 0.35)}
+    assert of_both.step(NOW_S, EAST, CHANGES, silent_ones, {}) == {1, 3}
+    x, y, z = OWN
+    later = VehicleState(position_enu_m=(x + 0.16, y, z), velocity_enu_m_s=(0.6, 0.0, 0.0))
+    assert of_both.step(NOW_S + 0.2, later, IN_PLACE, silent_ones, {}) == {1, 3}
+    assert of_both.acceleration(NOW_S + 0.2, later) == pytest.approx((-BRAKING_M_S2, 0.0, 0.0), abs=1e-9)
+
+
+def test_a_vehicle_half_a_metre_off_its_slot_is_in_place() -> None:
+    x, y, z = OWN
+    for off_m, found in ((0.49, set()), (0.51, {1, 3})):
+        both = (silent(1, 0.35), silent(3, 0.35, position_enu_m=(x - 2.0, y, z + off_m)))
+        assert behind(*both, slot=IN_PLACE) == found
 
 
 @pytest.mark.parametrize("after_s", [0.0, 0.2, 0.49])
 def test_the_vehicle_brakes_on_a_straight_line(after_s: float) -> None:
     """From 1 m/s with 2 m/s^2: 0.25 m in half a second."""
-    waiting = split()
-    assert waiting.step(NOW_S, EAST, CHANGES, {1: silent(1, 0.35), 3: silent(3, 0.35)}, {})
-    (x, y, z), left_m_s = OWN, 1.0 - BRAKING_M_S2 * after_s
+    waiting, way = split(), (0.6, -0.48, 0.64)
+    moving = replace(EAST, velocity_enu_m_s=way)
+    assert waiting.step(NOW_S, moving, CHANGES, {1: silent(1, 0.35), 3: silent(3, 0.35)}, {})
+    left_m_s = 1.0 - BRAKING_M_S2 * after_s
     gone_m = after_s * (1.0 + left_m_s) / 2.0
-    on_time = VehicleState(position_enu_m=(x + gone_m, y, z), velocity_enu_m_s=(left_m_s, 0.0, 0.0))
-    assert waiting.acceleration(NOW_S + after_s, on_time) == pytest.approx((-BRAKING_M_S2, 0.0, 0.0), abs=1e-9)
+    x, y, z = (p + gone_m * w for p, w in zip(OWN, way, strict=True))
+    vx, vy, vz = (left_m_s * w for w in way)
+    on_time = VehicleState(position_enu_m=(x, y, z), velocity_enu_m_s=(vx, vy, vz))
+    expected = tuple(-BRAKING_M_S2 * w for w in way)
+    assert waiting.acceleration(NOW_S + after_s, on_time) == pytest.approx(expected, abs=1e-9)
 
 
 def test_the_vehicle_stays_where_it_has_stopped() -> None:
@@ -124,3 +152,27 @@ def test_the_vehicle_stays_where_it_has_stopped() -> None:
     assert waiting.acceleration(NOW_S + 5.0, at_rest) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
     pushed = VehicleState(position_enu_m=(x + 0.25, y + 0.5, z))
     assert waiting.acceleration(NOW_S + 5.0, pushed)[1] < 0.0
+
+
+def test_the_slot_of_a_vehicle_that_its_autopilot_flies_does_not_count() -> None:
+    """It flies in no formation: what its last packet says of its slot changes no shape."""
+    leaves = silent(2, 0.1, phase=FlightPhase.HOLD, slot=CHANGES)
+    assert behind(silent(1, 0.35), silent(3, 0.35), leaves, slot=IN_PLACE) == frozenset()
+    moves = silent(3, 0.35, slot=replace(peer(3).packet.slot, moves_for_s=1.0))
+    assert behind(leaves, silent(1, 0.35), moves, slot=IN_PLACE) == {1, 3}
+
+
+def test_the_filter_brakes_behind_a_split_and_flies_the_wish_again_when_all_are_heard() -> None:
+    x, y, z = OWN
+    silent_ones = {i: silent(i, 0.35, position_enu_m=(x + off, y, z)) for i, off in ((1, 9.0), (3, -9.0))}
+    wish = (0.4, 0.3, 0.1)
+    for slot in (CHANGES, None):  # without a slot it makes way for all: its wish is flown
+        one = safety_filter_of(FLEET, 2)
+        braking = one.step(NOW_S, EAST, slot, silent_ones, {}, wish, ZERO3, ZERO3)
+        if slot is None:
+            assert braking.acceleration_enu_m_s2 is wish
+        else:
+            level_m_s2 = one.braking_alone_m_s2 / ALONE_SHARE
+            assert braking.acceleration_enu_m_s2 == pytest.approx((-level_m_s2, 0.0, 0.0))
+        heard = {i: replace(known, measured_s=NOW_S, received_s=NOW_S) for i, known in silent_ones.items()}
+        assert one.step(NOW_S, EAST, slot, heard, heard, wish, ZERO3, ZERO3).acceleration_enu_m_s2 is wish

@@ -418,7 +418,11 @@ def test_an_excess_is_noise_up_to_two_tenths_and_ends_its_time() -> None:
     def flown(now_s: float, velocity: Vector3) -> Vector3:
         return at.acceleration(now_s, replace(vehicle(velocity), position_time_s=now_s), {}, wanted)
 
-    for fast, slow in (((12.5, 0.0, 0.0), (12.19, 0.0, 0.0)), ((0.0, 0.0, 3.5), (0.0, 0.0, 3.19))):
+    for fast, slow in (
+        ((12.5, 0.0, 0.0), (12.19, 0.0, 0.0)),
+        ((0.0, 0.0, 3.5), (0.0, 0.0, 3.19)),
+        *(((x, 0.0, z), ZERO3) for x, z in ((12.5, 0.0), (0.0, 3.5), (0.0, -2.5))),
+    ):
         assert flown(20.0, fast) is wanted
         assert flown(20.9, slow) is wanted
         assert flown(21.0, fast) is wanted
