@@ -26,7 +26,7 @@ from coverage import Coverage
 from hypothesis import Phase, settings
 
 from tests.mutants.mutate import Key, Mutant
-from tests.mutants.uses import Uses
+from tests.mutants.uses import ASSEMBLY, CORE, Uses
 
 ARGUMENTS = ["-q", "--assert=plain", "-p", "no:cacheprovider", "-m", "not long", "--hypothesis-profile=mutants"]
 MOST_TESTS = 300  # of one mutant: nearly all tests of the core pass the output limits
@@ -135,7 +135,7 @@ class _Collected:
 
 
 def _coverage() -> Coverage:
-    return Coverage(data_file=None, include=["companion/core/*"], config_file=False)
+    return Coverage(data_file=None, include=[f"{CORE}/*", str(ASSEMBLY)], config_file=False)
 
 
 def _contexts(coverage: Coverage) -> Contexts:

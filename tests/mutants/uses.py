@@ -9,16 +9,17 @@ from pathlib import Path
 from tests.mutants.mutate import Mutant, module_statements
 
 CORE = Path("companion/core")
+ASSEMBLY = Path("companion/assembly.py")  # makes the parts of the core from the fleet file
 Functions = list[ast.FunctionDef]
 
 
 class Uses:
-    """Of all modules of the core."""
+    """Of all modules of the core, and of what assembles it."""
 
     def __init__(self) -> None:
         self._functions: list[tuple[str, ast.FunctionDef]] = []
         self._at_import: list[tuple[set[str], set[str]]] = []  # names that are set, names that they are made of
-        for path in CORE.rglob("*.py"):
+        for path in (*CORE.rglob("*.py"), ASSEMBLY):
             module = ast.parse(path.read_text(encoding="utf-8"))
             bodies = [module.body, *(node.body for node in module.body if isinstance(node, ast.ClassDef))]
             functions = [node for body in bodies for node in body if isinstance(node, ast.FunctionDef)]

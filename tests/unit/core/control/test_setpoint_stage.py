@@ -215,7 +215,7 @@ def test_silence_begins_with_one_last_setpoint_while_the_autopilot_follows_and_i
     assert len(sent) == ends
     assert all((target.roll_rad, target.pitch_rad) == (0.0, 0.0) for target in sent)  # it hovers
     if ends:
-        assert found[0] is None  # a position may still come
+        assert found[:3] == [None, None, sent[0]]  # after 0.04 s: a position may still come
 
 
 @pytest.mark.parametrize("kind", list(AutopilotKind))
@@ -258,9 +258,17 @@ def test_traffic_is_heard_in_every_phase_and_forgotten_later() -> None:
     assert not at.filter.traffic
 
 
-def kept_off(flies_altitude: bool = True) -> Stage:
-    """Its filter takes a metre per second squared from the law."""
-    at = Stage(Steady(wants=(2.0, 0.0, 0.0)), flies_altitude)
+def test_a_stream_that_another_mode_has_ended_flies_nothing_any_more() -> None:
+    """A pilot has it, or a mode of the autopilot: no last setpoint is sent, and none is believed to be flown."""
+    at = Stage()
+    assert at.settled(FORMS).acceleration_enu_m_s2 != ZERO3
+    found = at.tick(HOLDS, mode=AutopilotMode.HOLD)
+    assert (found.target, found.acceleration_enu_m_s2) == (None, ZERO3)
+
+
+def kept_off(flies_altitude: bool = True, wants_m_s2: float = 2.0) -> Stage:
+    """Its filter takes 1.2 m/s^2 of 2 from the law, and as much less as that wants less."""
+    at = Stage(Steady(wants=(wants_m_s2, 0.0, 0.0)), flies_altitude)
     at.tick(FORMS)
     at.peers = peer_at((2.3, 2.0, 10.0), at.now_s)
     at.tick(FORMS)
@@ -276,6 +284,12 @@ def test_kept_off_its_slot_it_publishes_what_the_law_steers_to() -> None:
     assert found.rft == at.guidance.reference
     assert found.law_values[0][0] == REFERENCE.position_enu_m[0]  # as if it flew in its slot
     assert Stage().tick(FORMS).rft is None
+
+
+def test_six_tenths_of_a_metre_per_second_squared_keep_it_off_and_two_tenths_are_noise() -> None:
+    for wants_m_s2, is_kept_off in ((1.5, True), (1.1, False)):
+        at = kept_off(wants_m_s2=wants_m_s2)
+        assert (at.tick(FORMS).rft is not None) is is_kept_off
 
 
 @pytest.mark.parametrize("flies_altitude", [True, False])

@@ -160,6 +160,18 @@ def test_one_setpoint_that_brakes_goes_before_each_silence_without_slewing() -> 
     assert flown == pytest.approx((0.0, -1.5), abs=1e-6)
 
 
+def test_the_last_setpoint_brakes_in_each_direction_against_the_wind() -> None:
+    """It leans into the wind by what that does, and pulls less where it lifts."""
+    sent = stream((0.4, -0.3, 0.2))
+    sent.open(0.0, FLIES)
+    last = sent.last_before_silence(0.05, at_s(0.05, velocity_enu_m_s=(0.9, -0.6, 0.0)))
+    assert last is not None
+    lift = last.thrust_norm / HOVER
+    east, north = level_acceleration(last.roll_rad, last.pitch_rad, last.yaw_rad)
+    assert lift == pytest.approx(1.0 - 0.2 / GRAVITY_M_S2)
+    assert (lift * east, lift * north) == pytest.approx((-0.6 - 0.4, 0.4 + 0.3))
+
+
 def test_the_last_setpoint_carries_a_vehicle_that_climbs_or_sinks() -> None:
     sent = stream()
     sent.open(0.0, FLIES)

@@ -164,10 +164,13 @@ def test_of_two_that_cooperate_the_command_of_the_other_counts_before_its_attitu
 
 
 def test_between_its_last_packet_in_time_and_silence_a_vehicle_in_formation_is_kept_farther_away() -> None:
-    own, slot = Ahead((4.0, 0.0, 0.0), ZERO3), FlownSlot((4.0, 0.0, 0.0))
+    """On top of what the delay costs two that close in."""
+    slot = FlownSlot((4.0, 0.0, 0.0))
     late = [other(ZERO3, slot=FlownSlot(ZERO3), makes_way=True, age_s=age_s) for age_s in (0.1, 0.3)]
-    in_time_m, late_m = (barrier(own, one, slot).required_m for one in late)
-    assert late_m - in_time_m == pytest.approx(0.25 * 0.2)
+    for closing_m_s in (0.0, 2.0):
+        own = Ahead((4.0, 0.0, 0.0), (-closing_m_s, 0.0, 0.0))
+        in_time_m, late_m = (barrier(own, one, slot).required_m for one in late)
+        assert (in_time_m, late_m - in_time_m) == pytest.approx((SEPARATION_M + 0.1 * closing_m_s, 0.25 * 0.2))
 
 
 def test_a_turn_away_is_believed_for_a_tenth_of_a_second() -> None:

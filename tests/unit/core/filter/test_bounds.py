@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import hypot, radians, tan
+from math import dist, hypot, radians, tan
 
 import pytest
 from msgspec.structs import replace
@@ -11,9 +11,9 @@ from common import slot_peer, with_fields
 from companion.assembly import safety_filter_of, separation_settings_of
 from companion.core.consensus.peers import PeerState
 from companion.core.filter.filter import Bounds, Interventions, SafetyFilter, SpeedLimit, better_kept
-from companion.core.filter.motion import Ahead, Motions, Silence
+from companion.core.filter.motion import NO_ERROR, Ahead, Motions, Other, Silence
 from companion.core.filter.solver import AccelerationLimits, Constraint, Rank, filter_acceleration
-from companion.core.filter.vehicles import Separation, SeparationSettings, largest_removed_m_s2, turn_right
+from companion.core.filter.vehicles import Barrier, Separation, SeparationSettings, largest_removed_m_s2, turn_right
 from companion.geometry.airspace import Airspace, Cuboid, Cylinder, Fence
 from companion.geometry.curves import approach_speed
 from companion.types.autopilot import PositionError, VehicleState
@@ -208,6 +208,7 @@ CASES = {  # own state, own slot, the other vehicle, and whether it is fresh
     "silent": (WAITS, None, peer((6.5, 0.3, 20.0), (-3.0, 0.1, 0.0), FORMATION, 1.3), False),
     "silent for long": (WAITS, None, peer((12.5, 0.3, 20.0), (-3.0, 0.1, 0.0), FORMATION, 4.0), False),
     "above": (WAITS, None, peer((0.4, 0.3, 24.0), ZERO3, FORMATION, 6.0), False),
+    "silent before it": (FLIES, None, peer((2.1, 0.3, 20.0), (1.0, 0.2, 0.0), FORMATION, 0.9), False),
     "over the ground": (
         replace(OWN, ground_position_enu_m=(0.0, 0.0, 19.3), velocity_enu_m_s=(0.0, 0.0, -0.8)),
         None,
@@ -236,11 +237,26 @@ def test_the_stage_gives_what_its_parts_give_one_after_another(name: str) -> Non
     assert found.separation.violated is (nearest.distance_m < 2.0)
 
 
+def test_the_turn_gets_three_steps_between_walls_that_contradict_each_other() -> None:
+    """So a tick of two solutions stays short."""
+    wish, one = (
+        (-2.5, 0.0, 0.0),
+        Other(2, (ZERO3, ZERO3, ZERO3), ZERO3, 0.0, None, NO_ERROR, 1.0, FlownSlot(ZERO3), True, 1.0),
+    )
+    ahead = Barrier((1.0, 0.0, 0.0, 0.0, Rank.VEHICLE), one, (3.0, 0.0, 0.0), 2.0, 1.0)
+    walls: list[Constraint] = [(0.0, -0.8, 0.6, 1.5, Rank.FENCE), (0.0, 0.6, -0.8, 1.5, Rank.FENCE)]
+    found = stage().allowed(NOW_S, OWN, [ahead], walls, wish, wish, ZERO3, SeparationReport())
+    x, y, z = filter_acceleration(wish, [ahead.constraint, *walls], LIMITS, 5)
+    turned = [filter_acceleration((x, y + 2.0, z), [ahead.constraint, *walls], LIMITS, steps) for steps in (2, 3, 4, 5)]
+    assert found.acceleration_enu_m_s2 == pytest.approx(turned[1])
+    assert all(dist(found.acceleration_enu_m_s2, other) > 0.1 for other in (turned[0], *turned[2:]))
+
+
 def test_a_silent_vehicle_is_believed_to_be_no_faster_than_a_quarter_above_the_limit() -> None:
     """At the 30 m/s of its packet it could not brake any more."""
     known = {2: peer((100.0, 0.0, 20.0), (-30.0, 0.0, 0.0), FORMATION, 1.4)}
     assert stage().step(NOW_S, WAITS, None, known, {}, (1.5, 0.1, 0.2), ZERO3, ZERO3).separation.changed_m_s2 == 0.0
-    known = {2: peer((16.0, 0.0, 20.0), (-9.9, 0.0, 0.0), FORMATION, 1.4)}
+    known = {2: peer((30.0, 0.0, 20.0), (-9.9, 0.0, 0.0), FORMATION, 1.4)}  # at 5 m/s it would not matter
     assert stage().step(NOW_S, WAITS, None, known, {}, (1.5, 0.1, 0.2), ZERO3, ZERO3).separation.changed_m_s2 > 0.0
 
 

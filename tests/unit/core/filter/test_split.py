@@ -176,3 +176,16 @@ def test_the_filter_brakes_behind_a_split_and_flies_the_wish_again_when_all_are_
             assert braking.acceleration_enu_m_s2 == pytest.approx((-level_m_s2, 0.0, 0.0))
         heard = {i: replace(known, measured_s=NOW_S, received_s=NOW_S) for i, known in silent_ones.items()}
         assert one.step(NOW_S, EAST, slot, heard, heard, wish, ZERO3, ZERO3).acceleration_enu_m_s2 is wish
+
+
+def test_the_filter_expects_no_vehicle_behind_a_split_to_fly_on() -> None:
+    """From one whose agent has failed more is kept the longer it is silent; one behind a split waits where it stands."""
+    x, y, z = OWN
+    silent_ones = {i: silent(i, 4.0, position_enu_m=(x + off, y, z)) for i, off in ((1, 5.0), (3, -6.0))}
+    required_m = []
+    for slot in (CHANGES, IN_PLACE):
+        known = silent_ones if slot is CHANGES else {1: silent_ones[1]}
+        found = safety_filter_of(FLEET, 2).step(NOW_S, EAST, slot, known, {}, ZERO3, ZERO3, ZERO3).separation
+        assert found.nearest is not None and found.nearest.name == "1"
+        required_m.append(found.nearest.required_m)
+    assert required_m[1] > required_m[0] + 0.3
