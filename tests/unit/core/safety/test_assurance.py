@@ -454,6 +454,14 @@ def test_within_the_limits_of_speed_a_wish_is_let_be_for_ever(climb_m_s: float, 
         assert at.acceleration(now_s, own, {}, wanted) is wanted
 
 
+def test_a_slow_fleet_is_slowed_at_its_own_limit() -> None:
+    slow = dataclasses.replace(SPEEDS, max_speed_m_s=1.0)
+    at = CommandMonitor(SEPARATION_M, Airspace(FENCE, ()), slow)
+    for now_s in (NOW_S, NOW_S + 2.0):
+        found = at.acceleration(now_s, replace(vehicle((1.3, 0.0, 0.0)), position_time_s=now_s), {}, ZERO3)
+    assert found == pytest.approx((-1.2, 0.0, 0.0))
+
+
 def test_a_slow_fleet_brakes_its_climb_downwards() -> None:
     slow = dataclasses.replace(SPEEDS, max_climb_m_s=0.4)
     at = CommandMonitor(SEPARATION_M, Airspace(FENCE, ()), slow)

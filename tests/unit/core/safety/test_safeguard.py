@@ -259,6 +259,40 @@ def test_a_stream_that_leaves_formation_only_ends() -> None:
     assert kinds(found) == [PhaseChange.END_STREAM]
 
 
+OBSERVES = Flight(phase=P.OBSERVE)
+STILL_WAITS = Notice(Code.NO_SETPOINT, "telemetry is in time again, and the autopilot still waits for setpoints")
+
+
+def gave_up() -> Watched:
+    """At 1 s, with a mode that was too old to ask for a hold."""
+    watched = Watched()
+    assert kinds(watched.at(1.0, last_setpoint_s=0.0, mode_time_s=0.5)) == [PhaseChange.GIVE_UP, PhaseChange.END_STREAM]
+    return watched
+
+
+def test_after_it_gave_up_a_hold_is_requested_once_when_the_mode_is_known_again() -> None:
+    watched = gave_up()
+    for now_s, mode_time_s in ((1.1, 0.9), (1.2, 1.0)):
+        assert not watched.at(now_s, OBSERVES, mode_time_s=mode_time_s).requests
+    assert watched.at(1.3, OBSERVES, mode_time_s=1.001).requests == (PhaseRequest(PhaseChange.HOLD, STILL_WAITS),)
+    assert not watched.at(1.4, OBSERVES).requests
+
+
+def test_while_it_streams_or_telemetry_is_late_it_waits_for_a_mode_from_after_that() -> None:
+    for waits in ({"flight": FORMS}, {"flight": OBSERVES, "position_time_s": 1.9}):
+        watched = gave_up()
+        assert not [kind for kind in kinds(watched.at(2.0, **waits)) if kind is PhaseChange.HOLD]  # type: ignore[arg-type]
+        assert not watched.at(2.1, OBSERVES, mode_time_s=2.0).requests
+        assert kinds(watched.at(2.2, OBSERVES, mode_time_s=2.001)) == [PhaseChange.HOLD]
+
+
+@pytest.mark.parametrize(("flight", "mode"), [(HOLDS, AutopilotMode.OFFBOARD), (OBSERVES, AutopilotMode.HOLD)])
+def test_a_pilot_or_the_autopilot_that_took_over_is_left_alone(flight: Flight, mode: AutopilotMode) -> None:
+    watched = gave_up()
+    for now_s, flown, in_mode in ((1.1, flight, mode), (1.2, OBSERVES, AutopilotMode.OFFBOARD)):
+        assert not watched.at(now_s, flown, mode=in_mode).requests
+
+
 # ---------------------------------------------------------------- the end of the agent
 
 STOPS = Inbox(stopping=True)
