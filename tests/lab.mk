@@ -25,6 +25,7 @@
 ## make coverage   lines of the safety code and the separation filter that their tests do not reach; there must be none
 ## make mutants    changes one thing of failsafes, limits, setpoint or filter at a time: the core's tests have to fail (an hour on one core);
 ##                 MODULES='safety/limits control' only these; AGAIN=1 only those that survived the last run
+## make mutants-flown  flies fleets whose filter is switched off or a mutant, with the last check and without it (ten minutes on two cores)
 ## make tighten    lowers the budgets of source and tick (tests/unit/budgets.json) to today's figures
 
 .PHONY: gauntlet-adversarial gauntlet-rare bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet verdicts faults link-faults attacks test-external test-vehicles test-fleets coverage mutants tighten
@@ -121,6 +122,9 @@ coverage: .venv/test.ready
 # Each mutant runs in a process of its own, for seconds at most.
 mutants: .venv/mutants.ready
 	$(LAB).mutants $(MODULES) $(if $(AGAIN),--again)
+
+mutants-flown: .venv/mutants.ready
+	$(LAB).mutants.flown
 
 tighten: .venv/fly.ready
 	$(LAB).bench.budgets --tighten

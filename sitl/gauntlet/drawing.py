@@ -152,10 +152,11 @@ def _content(
 ) -> tuple[dict[str, Any], int | None]:
     """The scenario as plain content, and the runaway vehicle."""
     stays_out, runaway, pilots = set(plan.stays_out), None, []
-    if with_runaway:
-        without_gps = {loss["vehicle"] for loss in plan.stand_in.get("position_losses", ())}
-        others = {fleet.successor, *stays_out, *without_gps}
-        runaway = random.choice([i for i in fleet.followers if i not in others])
+    without_gps = {loss["vehicle"] for loss in plan.stand_in.get("position_losses", ())}
+    others = {fleet.successor, *stays_out, *without_gps}
+    free = [i for i in fleet.followers if i not in others]
+    if with_runaway and free:
+        runaway = random.choice(free)
         pilot, from_outside = _pilot(random, fleet, runaway)
         pilots.append(pilot | {"at_s": _seen_at_s(pilot["at_s"], plan)})
         stays_out |= {runaway} if from_outside else set()

@@ -45,7 +45,7 @@ def main() -> int:
         parser.error(f"no module {', '.join(unknown)} in {', '.join(PACKAGES)}")
     paths = [path for path in paths if not parsed.modules or any(_is_named(path, name) for name in parsed.modules)]
     mutants = [mutant for path in paths for mutant in mutants_of(path)]
-    reasons = _listed()
+    reasons = listed()
     stale = [key for key in reasons if Path(key[0]) in paths and key not in {m.key for m in mutants}]
     if parsed.again:
         if not SURVIVED.exists():
@@ -70,7 +70,7 @@ def _is_named(path: Path, name: str) -> bool:
     return path.with_suffix("").as_posix().endswith(f"/{name}") or path.parent.as_posix().endswith(f"/{name}")
 
 
-def _listed() -> dict[Key, str]:
+def listed() -> dict[Key, str]:
     """The reason of each mutant of equivalent.txt: a line of module, function, change and reason, with tabs between them."""
     listed = {}
     for line in EQUIVALENT.read_text(encoding="utf-8").splitlines():

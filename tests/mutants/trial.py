@@ -280,7 +280,7 @@ def _fails(mutant: Mutant, files: list[str], names: set[str], usual_s: float) ->
         quiet = os.open(os.devnull, os.O_WRONLY)
         os.dup2(quiet, 1)
         os.dup2(quiet, 2)
-        sys.meta_path.insert(0, _Changed(mutant))
+        sys.meta_path.insert(0, Changed(mutant))
         os._exit(int(pytest.main(["-x", *ARGUMENTS, *files], plugins=[_Only(names)])))
     _, status = os.waitpid(child, 0)
     return status != 0
@@ -294,7 +294,7 @@ class _Only:
         items[:] = [item for item in items if item.nodeid in self._names]
 
 
-class _Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+class Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     """Imports one module from the source of a mutant."""
 
     def __init__(self, mutant: Mutant) -> None:

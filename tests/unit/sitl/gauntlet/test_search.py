@@ -46,6 +46,11 @@ def test_a_combined_flight_has_wind_walls_and_several_faults() -> None:
     assert any(one.links.partitions and one.stand_in.position_losses for one in scenarios)
 
 
+def test_where_each_follower_has_a_part_there_is_no_runaway() -> None:
+    assert has_runaway(39)
+    assert draw_flight(13, 39).runaway is None
+
+
 def outcome(job: Job, ratio: float) -> FlightOutcome:
     return FlightOutcome(seed=job.seed, number=job.number, family="exchange", vehicles=4, sensors="ideal", ratio=ratio)
 
