@@ -116,11 +116,12 @@ COLUMNS: tuple[Column, ...] = (
     ("smallest", "ratio", 9),
     ("least", "room", 9),
     ("not", "reached", 8),
+    ("last", "check", 7),
 )
 MEANING = """\
 worst, of allowed: the smallest distance as a share of what is allowed, below 1 a violation; smallest ratio: of a true distance
 to separation_m; least room: to fence, obstacle or ground; not reached: vehicles that stayed in formation and were not in their
-slots at the end"""
+slots at the end; last check: flights in which it braked a vehicle"""
 
 
 def _print(folder: Path, search: Search, worst: Sequence[str]) -> None:
@@ -145,4 +146,5 @@ def _row(family: str, outcomes: Sequence[FlightOutcome]) -> tuple[str, ...]:
         f"{min(ratios):.2f}" if ratios else "-",
         f"{min(rooms_m):.2f} m" if rooms_m else "-",
         str(missed),
+        str(sum(bool(o.braked) for o in outcomes)),
     )

@@ -49,6 +49,7 @@ class FlightOutcome(Struct, frozen=True, kw_only=True):
 
     `room`: the smallest distance of a vehicle that an agent commands to fence, obstacles and ground; None: none was.
     `liars` lie about where they are: distances to them, and what they do, do not count. `speed` and `lead` are then judged too.
+    `braked`: vehicles whose last check of commands braked them.
     `exception` is a whole traceback, "" without one. `codes` are those of all events, each once, in order.
     """
 
@@ -73,6 +74,7 @@ class FlightOutcome(Struct, frozen=True, kw_only=True):
     refusals: list[Refusal] = []
     codes: list[Code] = []
     failure: str = ""
+    braked: list[int] = []
     exception: str = ""
     cpu_s: float = 0.0
 
@@ -126,10 +128,16 @@ def fly_drawn(job: Job, flight: Drawn, began_s: float) -> FlightOutcome:
         arrivals=arrived,
         undisturbed_s={} if job.choices else _undisturbed_s(flight, arrived),
         refusals=flown.refusals,
+        braked=_braked(flown.watch),
         codes=list(dict.fromkeys(event.code for event in flown.watch.events)),
         failure=flown.failure or "",
         cpu_s=_cpu_s(began_s),
     )
+
+
+def _braked(watch: FlightWatch) -> list[int]:
+    statuses = ((i, watch.status(i)) for i in watch.vehicle_ids)
+    return [i for i, status in statuses if status and str(Code.COMMAND_BRAKED) in status.rejected]
 
 
 def _undisturbed_s(flight: Drawn, arrived: SlotArrivals) -> dict[int, float | None]:

@@ -31,7 +31,7 @@ class FamilySummary(Struct, frozen=True, kw_only=True):
 
     `expected` vehicles were to be in their slots at the end: `reached` were, `refused` had refused a command, `left` were not
     in formation. `timed` of all have an undisturbed time and refused nothing, and `in_time` reached their slots in at most
-    twice that.
+    twice that. In `braked` flights the last check of commands braked a vehicle.
     """
 
     family: str
@@ -49,6 +49,7 @@ class FamilySummary(Struct, frozen=True, kw_only=True):
     reached: int
     timed: int
     in_time: int
+    braked: int
     not_flown: int
     exceptions: int
 
@@ -85,6 +86,7 @@ def _summary(family: str, outcomes: Sequence[FlightOutcome]) -> FamilySummary:
         reached=ended.count("reached"),
         timed=len(timed),
         in_time=sum(timed),
+        braked=sum(bool(o.braked) for o in outcomes),
         not_flown=sum(o.vehicles == 0 for o in outcomes),
         exceptions=sum(bool(o.exception) for o in outcomes),
     )
@@ -152,6 +154,7 @@ TABLE: tuple[tuple[Column, Callable[[FamilySummary], str]], ...] = (
     (("", "left", 6), lambda s: str(s.left)),
     (("", "reached", 9), lambda s: str(s.reached)),
     (("in", "time", 8), lambda s: f"{100.0 * s.in_time / s.timed:.1f} %" if s.timed else "-"),
+    (("last", "check", 7), lambda s: str(s.braked)),
     (("excep-", "tions", 8), lambda s: str(s.exceptions)),
 )
 COLUMNS = tuple(column for column, _ in TABLE)
@@ -160,9 +163,9 @@ ratio: smallest true distance of a flight in units of separation_m, of pairs whe
 worst flight and percentiles; automatic: the worst of the other pairs, which both fly by autopilots or pilots; violations:
 flights with a ratio below 1 (sensors ideal), 0.8 (default) or 0.6 (px4_sih), or a vehicle beyond a wall; vehicles to slots:
 that were to be in their slots at the end; refused: those that were not, and had refused a command; left: no longer in
-formation; reached: in their slots; in time: share of those that flew to their slots in an undisturbed flight and refused
-nothing, which took at most {IN_TIME:g} times as long as there, plus {GRACE_S:g} s; those that left or did not reach them are
-not in time"""
+formation; reached: in their slots; last check: flights in which it braked a vehicle; in time: share of those that flew to
+their slots in an undisturbed flight and refused nothing, which took at most {IN_TIME:g} times as long as there, plus
+{GRACE_S:g} s; those that left or did not reach them are not in time"""
 
 
 def page(seed: int, families: Sequence[FamilySummary], outcomes: Sequence[FlightOutcome]) -> str:
