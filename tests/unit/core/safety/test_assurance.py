@@ -282,10 +282,10 @@ def test_a_slow_approach_inside_the_share_is_noise() -> None:
         assert braked(ZERO3, vehicle(), other, monitor()) is brakes
 
 
-def test_it_brakes_the_velocity_away_within_half_a_second() -> None:
+def test_it_brakes_the_velocity_away_within_a_quarter_of_a_second() -> None:
     at, own, other = monitor(), vehicle((2.0, -0.4, -1.0)), peer((2.0, 0.0, 10.0), ZERO3)
     allowed = [at.acceleration(NOW_S, own, {2: other}, (3.0, 0.0, 0.0)) for _ in range(IN_A_ROW)][-1]
-    assert allowed == pytest.approx((-4.0, 0.8, 2.0))
+    assert allowed == pytest.approx((-8.0, 1.6, 4.0))
 
 
 def test_the_command_counts_on_each_axis_for_the_time_until_it_acts() -> None:
