@@ -28,7 +28,7 @@
 ## make mutants-flown  flies fleets whose filter is switched off or a mutant, with the last check and without it (ten minutes on two cores)
 ## make tighten    lowers the budgets of source and tick (tests/unit/budgets.json) to today's figures
 
-.PHONY: gauntlet-adversarial gauntlet-rare bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet verdicts faults link-faults attacks test-external test-vehicles test-fleets coverage mutants tighten
+.PHONY: gauntlet-adversarial gauntlet-rare bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet verdicts faults link-faults attacks test-external test-vehicles test-fleets coverage mutants mutants-flown tighten
 
 LAB = $(BIN)/python -m tests
 
