@@ -6,6 +6,7 @@ from random import Random
 
 import pytest
 
+from sitl.gauntlet import splitting
 from sitl.gauntlet.splitting import EVENT, Estimate, Leaf, Seed, Splitter, estimate, next_levels
 
 STEPS, HEIGHT = 60, 26  # of the walk: up or down by 1
@@ -57,6 +58,15 @@ def test_the_estimate_finds_a_known_probability() -> None:
     assert sum(one.probability for one in found) / len(found) == pytest.approx(known, rel=0.3)
     assert all(known < one.upper < 10.0 * known for one in found)
     assert all(one.simulations < 1000 for one in found)
+
+
+def test_with_few_splits_the_mean_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(splitting, "MOST_SPLITS", 3)
+    near = [score(height) + 0.25 for height in (4, 8, 12)]
+    found = [estimated(seed, near, 200) for seed in range(4)]
+    assert sum(one.probability for one in found) / len(found) == pytest.approx(probability(12), rel=0.15)
+    assert all(probability(12) < one.upper for one in found)
+    assert max(len(walk(str(root), near)) for root in range(50)) == 1 + 3 * (splitting.BRANCHES - 1)
 
 
 def test_without_levels_between_it_is_plain_monte_carlo() -> None:
