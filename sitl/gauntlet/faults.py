@@ -32,6 +32,7 @@ from sitl.gauntlet.fleets import DrawnFleet, direction, moved, to_thousandth
 from sitl.gauntlet.liars import LIARS
 
 ALL_HOVER_S = FORM_S - 1.0  # armed by now: arming sets the home again
+ALL_APART = 0.25  # of the splits: no vehicle receives any other one
 FORMS_AGAIN_AFTER_S = 3.0  # of a split
 
 
@@ -98,11 +99,14 @@ def short_split(random: Random, fleet: DrawnFleet) -> FamilyPlan:
 
 
 def _split(random: Random, fleet: DrawnFleet, plan: FamilyPlan, from_s: float, lasts_s: float) -> FamilyPlan:
-    """The plan with a split network. Vehicles that hold are commanded to form again."""
+    """The plan with a network that splits into two parts, or into all vehicles. Those that hold are commanded to form again."""
     part = sorted(random.sample(fleet.ids, random.randint(1, fleet.size - 1)))
+    parts = [[vehicle_id] for vehicle_id in fleet.ids] if random.random() < ALL_APART else [part]
     lost = random.choice(("both", "both", "received", "sent"))
     plan.judges_hand_over = True
-    plan.partitions.append({"vehicles": part, "from_s": at(from_s), "until_s": at(from_s + lasts_s), "lost": lost})
+    plan.partitions += [
+        {"vehicles": each, "from_s": at(from_s), "until_s": at(from_s + lasts_s), "lost": lost} for each in parts
+    ]
     last_s = max((one["at_s"] - FORM_S for one in plan.steps), default=0.0)
     again_s = to_thousandth(max(from_s + lasts_s, last_s) + FORMS_AGAIN_AFTER_S)
     plan.steps.append(step("form", again_s))

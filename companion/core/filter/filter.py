@@ -81,7 +81,7 @@ class SafetyFilter:
         self._motions = Motions(
             settings.own_id, Silence(settings.fresh_s, 0.0, KEPT_S, settings.braking_m_s2, most_m_s)
         )
-        self._split = Split(settings.fresh_s, settings.braking_m_s2, gains)
+        self._split = Split(settings.fresh_s, settings.separation_m, settings.braking_m_s2, gains)
         self._behind_split: frozenset[int] = frozenset()  # vehicles by id
         self._separation = Separation(settings)
         self._pressure = Pressure(settings.separation_m)

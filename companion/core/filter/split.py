@@ -2,15 +2,16 @@
 
 Of two vehicles that do not hear each other each keeps off all that the other one may fly. An evasion is not among that: where
 both evade, neither is where the other one believes it to be. One silent vehicle has lost its agent or its radio, and the
-others hear each other: they evade. Where several fall silent at once, agents live on both sides of a split network. If slots
-move then, or vehicles are not placed as their slots, all brake at once, on a straight line, and wait; that needs less room than
-any evasion. A formation that keeps its shape flies on: no vehicle has to evade.
+others hear each other: they evade. Where several fall silent at once, agents live on both sides of a split network. All brake
+at once then, on a straight line, and wait; that needs less room than any evasion. A formation flies on where its slots rest and
+all are placed as their slots: no vehicle has to evade. But a vehicle that hears none of the fleet flies on only where all are
+so far away that it has to keep more distance from none: each of them would evade.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from math import dist, inf
+from math import dist, hypot, inf
 
 from companion.core.consensus.law import feedback
 from companion.core.consensus.peers import PeerState
@@ -26,14 +27,20 @@ SEVERAL = 2  # silent vehicles at once
 AT_ONCE_S = 1.0  # between the last packets of vehicles that fall silent at once
 PLACED_WITHIN_M = 0.5  # of the offset of their slots
 NEAR_M = 12.0  # of the last position; farther away a vehicle matters to no evasion
+WIDE_RATIO, WIDE_M, WIDE_S = (
+    1.5,
+    0.2,
+    0.4,
+)  # of separation_m, more, and of the speed: the most that a silent vehicle is given
 WAITS_S = 30.0  # the longest wait, from the last packet on
 
 
 class Split:
     """Finds that the network is split near this vehicle, and brakes it straight until it is whole again."""
 
-    def __init__(self, silent_s: float, braking_m_s2: float, gains: Gains) -> None:
+    def __init__(self, silent_s: float, separation_m: float, braking_m_s2: float, gains: Gains) -> None:
         self._silent_s = silent_s
+        self._separation_m = separation_m
         self._braking_m_s2 = braking_m_s2
         self._gains = gains
         self._ids: frozenset[int] = frozenset()  # the vehicles behind the split
@@ -52,7 +59,8 @@ class Split:
         """The ids of the vehicles behind a split. `slot` is the own one, None outside formation."""
         ids = self._behind(now_s, vehicle, {i: peer for i, peer in peers.items() if i not in fresh})
         if ids and not self._ids:
-            if ids <= self._in_shape or not _changes_shape(now_s, vehicle, slot, peers.values()):
+            alone = not fresh and self._is_narrow(now_s, vehicle, [peers[i] for i in ids])
+            if ids <= self._in_shape or not (alone or _changes_shape(now_s, vehicle, slot, peers.values())):
                 self._in_shape = ids
                 return frozenset()
             self._since_s = now_s
@@ -74,6 +82,11 @@ class Split:
             if len(heard_s) < SEVERAL:
                 return frozenset()
         return frozenset(heard_s)
+
+    def _is_narrow(self, now_s: float, vehicle: VehicleState, silent: Iterable[PeerState]) -> bool:
+        """Whether one of these is nearer than the filter may ask of a silent vehicle."""
+        wide_m = WIDE_RATIO * self._separation_m + WIDE_M + WIDE_S * hypot(*vehicle.velocity_enu_m_s)
+        return any(dist(peer.position_at(now_s), vehicle.position_enu_m) < wide_m for peer in silent)
 
     def acceleration(self, now_s: float, vehicle: VehicleState) -> Vector3:
         """Along the straight line to where it stops, then back to that place; m/s^2 in ENU."""

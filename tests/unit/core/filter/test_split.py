@@ -30,8 +30,8 @@ def silent(vehicle_id: int, for_s: float, **changes: object) -> PeerState:
     return PeerState(peer(vehicle_id, **changes).packet, heard_s, heard_s, heard_s)  # type: ignore[arg-type]
 
 
-def split() -> Split:
-    return Split(FRESH_S, BRAKING_M_S2, Gains(2.0, 2.4))
+def split(separation_m: float = 0.5) -> Split:
+    return Split(FRESH_S, separation_m, BRAKING_M_S2, Gains(2.0, 2.4))
 
 
 def behind(*peers: PeerState, slot: FlownSlot | None = CHANGES) -> frozenset[int]:
@@ -78,6 +78,29 @@ def test_a_formation_that_keeps_its_shape_flies_on() -> None:
     x, y, z = OWN
     gone_on = replace(EAST, position_enu_m=(x + 3.0, y, z))
     assert not kept.step(NOW_S + 1.0, gone_on, IN_PLACE, peers, {})  # it has left the silent ones behind
+
+
+@pytest.mark.parametrize(("separation_m", "speed_m_s", "wide_m"), [(1.0, 0.0, 1.7), (0.4, 0.0, 0.8), (1.0, 2.0, 2.5)])
+def test_a_vehicle_that_hears_none_flies_on_only_far_from_all(
+    separation_m: float, speed_m_s: float, wide_m: float
+) -> None:
+    """1.5 times separation_m, 0.2 m, and the way of 0.4 s."""
+    moving = replace(EAST, velocity_enu_m_s=(0.0, -0.6 * speed_m_s, 0.8 * speed_m_s))
+    x, y, z = OWN
+    for apart_m, found in ((wide_m + 0.01, set()), (wide_m - 0.01, {1, 3})):
+        slots = (
+            replace(peer(i).packet.slot, position_enu_m=(-1.5, apart_m * side, 0.0)) for i, side in ((1, 1), (3, -1.1))
+        )
+        placed = zip((1, 3), slots, (apart_m, -1.1 * apart_m), strict=True)
+        near = {
+            i: silent(i, 0.35, slot=slot, position_enu_m=(x, y + north_m, z), velocity_enu_m_s=ZERO3)
+            for i, slot, north_m in placed
+        }
+        own_slot = replace(IN_PLACE, position_enu_m=(-1.5, 0.0, 0.0))
+        assert split(separation_m).step(NOW_S, moving, own_slot, near, {}) == found
+        above = replace(IN_PLACE, position_enu_m=(-1.5, 0.0, 3.0))
+        heard = {4: silent(2, 0.0, slot=above, position_enu_m=(x, y, z + 3.0), velocity_enu_m_s=ZERO3)}
+        assert not split(separation_m).step(NOW_S, moving, own_slot, near | heard, heard)  # it is not alone
 
 
 @pytest.mark.parametrize(
