@@ -85,7 +85,8 @@ def test_a_leader_that_is_cut_off_holds_and_follows_its_successor_afterwards(law
 
 @LAWS
 def test_two_halves_fly_on_and_become_one_fleet_again(law: str) -> None:
-    flight = on_the_figure_8(law)
+    """Their slots are far apart for this separation_m: nearer ones brake and wait."""
+    flight = on_the_figure_8(law, "fleet.separation_m=0.5")
     since_s = flight.lockstep.now_s()
     flight.separate(1, 4, for_s=6.0)
     flight.go_on(5.0)

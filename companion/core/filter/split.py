@@ -3,9 +3,8 @@
 Of two vehicles that do not hear each other each keeps off all that the other one may fly. An evasion is not among that: where
 both evade, neither is where the other one believes it to be. One silent vehicle has lost its agent or its radio, and the
 others hear each other: they evade. Where several fall silent at once, agents live on both sides of a split network. All brake
-at once then, on a straight line, and wait; that needs less room than any evasion. A formation flies on where its slots rest and
-all are placed as their slots: no vehicle has to evade. But a vehicle that hears none of the fleet flies on only where all are
-so far away that it has to keep more distance from none: each of them would evade.
+at once then, on a straight line, and wait; that needs less room than any evasion. A formation flies on where no vehicle has to
+evade: its slots rest, all are placed as their slots, and the silent ones so far away that no more distance is kept from them.
 """
 
 from __future__ import annotations
@@ -59,8 +58,8 @@ class Split:
         """The ids of the vehicles behind a split. `slot` is the own one, None outside formation."""
         ids = self._behind(now_s, vehicle, {i: peer for i, peer in peers.items() if i not in fresh})
         if ids and not self._ids:
-            alone = not fresh and self._is_narrow(now_s, vehicle, [peers[i] for i in ids])
-            if ids <= self._in_shape or not (alone or _changes_shape(now_s, vehicle, slot, peers.values())):
+            narrow = self._is_narrow(now_s, vehicle, [peers[i] for i in ids])
+            if ids <= self._in_shape or not (narrow or _changes_shape(now_s, vehicle, slot, peers.values())):
                 self._in_shape = ids
                 return frozenset()
             self._since_s = now_s
