@@ -24,7 +24,7 @@ import numpy as np
 
 from tests.mutants.__main__ import SURVIVED, listed
 from tests.mutants.mutate import Mutant, mutants_of
-from tests.mutants.trial import Changed
+from tests.mutants.trial import Changed, forget_imports
 
 FILTER = Path("companion/core/filter")
 HALF = 0.5  # of separation_m
@@ -65,6 +65,7 @@ def fly(wrong: Wrong, place: Place, checked: bool) -> Result:
     """
     signal.signal(signal.SIGVTALRM, _ends)
     signal.setitimer(signal.ITIMER_VIRTUAL, MOST_CPU_S)
+    forget_imports()
     if wrong.mutant:
         sys.meta_path.insert(0, Changed(wrong.mutant))
     from companion.core.filter.filter import NOTHING_SEEN, Filtered, SafetyFilter
@@ -173,7 +174,8 @@ def print_table(results: Sequence[Result]) -> int:
         checked = [result for result in of_group if result.checked]
         bare = [result for result in of_group if not (result.checked and result.acted)]
         filters, acted = len({result.wrong for result in checked}), sum(result.acted for result in checked)
-        print(f"| {group} | {filters} | {len(checked)} | {acted} | {_ratios(checked)} | {_ratios(bare)} |")
+        flown = sum(result.ratio < np.inf for result in checked)
+        print(f"| {group} | {filters} | {flown} | {acted} | {_ratios(checked)} | {_ratios(bare)} |")
     return int(any(result.checked and result.ratio < HALF for result in results))
 
 

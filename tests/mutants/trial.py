@@ -52,7 +52,7 @@ def run(
     reader, writer = os.pipe()
     if not (child := os.fork()):
         os.close(reader)
-        _forget_imports()
+        forget_imports()
         with os.fdopen(writer, "wb") as out:
             pytest.main([*ARGUMENTS, *tests], plugins=[_Collected(mutants, listed, out)])
         os._exit(0)
@@ -77,7 +77,7 @@ def run(
         report(mutant, _killed_by_import(mutant, chosen, seconds))
 
 
-def _forget_imports() -> None:
+def forget_imports() -> None:
     """What shows the progress has imported some of the product: without the change, and before its lines were watched."""
     for name in [name for name in sys.modules if name.partition(".")[0] in ("companion", "sitl")]:
         del sys.modules[name]
@@ -276,7 +276,7 @@ def _killed_by_import(mutant: Mutant, chosen: Iterable[str], seconds: dict[str, 
 def _fails(mutant: Mutant, files: list[str], names: set[str], usual_s: float) -> bool:
     if not (child := os.fork()):
         _limit(usual_s)
-        _forget_imports()
+        forget_imports()
         quiet = os.open(os.devnull, os.O_WRONLY)
         os.dup2(quiet, 1)
         os.dup2(quiet, 2)

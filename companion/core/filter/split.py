@@ -26,11 +26,8 @@ SEVERAL = 2  # silent vehicles at once
 AT_ONCE_S = 1.0  # between the last packets of vehicles that fall silent at once
 PLACED_WITHIN_M = 0.5  # of the offset of their slots
 NEAR_M = 12.0  # of the last position; farther away a vehicle matters to no evasion
-WIDE_RATIO, WIDE_M, WIDE_S = (
-    1.5,
-    0.2,
-    0.4,
-)  # of separation_m, more, and of the speed: the most that a silent vehicle is given
+# Of separation_m, more, and the way of so long: the most that the filter keeps from a silent vehicle.
+WIDE_RATIO, WIDE_M, WIDE_S = 1.5, 0.2, 0.4
 WAITS_S = 30.0  # the longest wait, from the last packet on
 
 
