@@ -64,7 +64,6 @@ class FlightWatch:
         self._formed_from_s: float | None = None
         self._reference_start_s = began_s
         self.newest_timing: dict[int, Timing] = {}
-        self.timing_received_s: dict[int, float] = {}
         self._state = FleetState()
         self._statuses: dict[int, Status] = {}  # the newest of every vehicle
 
@@ -87,7 +86,6 @@ class FlightWatch:
         self._follow_reference(status, now_s)
         if report.timing.ticks:  # in virtual time no ticks are timed
             self.newest_timing[vehicle_id] = report.timing
-            self.timing_received_s[vehicle_id] = now_s
         if vehicle_id in self._entered_s:
             self.largest_step_deg[vehicle_id] = status.control.largest_step_deg
             if report.timing.ticks:

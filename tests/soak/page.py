@@ -31,10 +31,10 @@ Zenoh and MAVLink over loopback. They fly a figure 8 in two columns, with neighb
 WHAT_COUNTS = f"""\
 Each figure is the worst of all eight agents. The first {WARM_UP:.0%} of the time do not count: caches fill, and the \
 formation settles. Memory is constant where its trend is at most {MOST_GROWTH_MB_H:g} MB in an hour, or \
-{MOST_GROWTH_MB:g} MB in the run; files and threads where the second half never exceeds the first; the tick rate where \
-both halves have a mean of at least {LEAST_MEAN_RATE_HZ:g} Hz and at most {MOST_SLOW:.0%} of the samples are below \
-{LEAST_RATE_HZ:g} Hz; telemetry to command where the 99 % of the second half are at most {MOST_LATER:g} times those of \
-the first. `missed` is the sum of all agents since the row before."""
+{MOST_GROWTH_MB:g} MB in the run; files and threads where the last tenth comes down to what the first half had; the tick \
+rate where both halves have a mean of at least {LEAST_MEAN_RATE_HZ:g} Hz and at most {MOST_SLOW:.0%} of the samples are \
+below {LEAST_RATE_HZ:g} Hz; telemetry to command where the 99 % of the second half are at most {MOST_LATER:g} times those \
+of the first. `missed` is the sum of all agents since the row before."""
 
 
 def page(machine: Machine, samples: Sequence[Sample], verdict: Sequence[Finding], failures: Sequence[str]) -> str:

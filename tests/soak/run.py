@@ -81,7 +81,7 @@ class Sampler:
             return
         self._due_s = now_s + self._period_s
         timings = watch.newest_timing
-        ticks = {i: Ticks(watch.timing_received_s[i], t.ticks, t.missed) for i, t in timings.items()}
+        ticks = {i: Ticks.of(timing) for i, timing in timings.items()}
         before, self._before = self._before, ticks
         if before is None or any(ticks[i].ticks < before[i].ticks for i in ticks):
             self.samples.clear()  # the timing begins again with the formation

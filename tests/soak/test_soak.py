@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from companion.wire.messages import Percentiles, Timing
 from sitl.flight.scenario import load_scenario
 from tests.bench.machine import Machine
 from tests.soak.page import page
@@ -55,10 +56,21 @@ def test_a_single_stall_of_the_machine_is_not_a_change(slow: int, names: list[st
     assert growing(made) == names
 
 
-def test_a_rate_is_of_the_reports_not_of_the_time_of_sampling() -> None:
-    before = Ticks(received_s=10.0, ticks=500, missed=0)
-    assert Ticks(received_s=19.9, ticks=995, missed=0).rate_hz(before) == pytest.approx(50.0)
-    assert before.rate_hz(before) == 0.0
+def test_a_file_open_for_a_moment_is_no_growth() -> None:
+    made = samples()
+    made[70] = replace(made[70], files=21)
+    assert growing(made) == []
+    late = [replace(sample, files=21) if n > 80 else sample for n, sample in enumerate(samples())]
+    assert growing(late) == ["files"]
+
+
+def test_a_rate_is_by_the_agents_clock() -> None:
+    """A report may hold a measurement 0.9 s old."""
+    none = Percentiles(0.0, 0.0, 0.0)
+    one = Ticks.of(Timing(50.0, 501, 0, none, none, 5.0, 48.0))
+    other = Ticks.of(Timing(49.9, 997, 0, none, none, 5.0, 48.0))
+    assert other.rate_hz(one) == pytest.approx(496 / (996 / 49.9 - 10.0))
+    assert one.rate_hz(one) == 0.0
 
 
 def test_growth_during_the_warm_up_does_not_count() -> None:
