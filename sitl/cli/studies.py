@@ -228,7 +228,7 @@ def _run_gauntlet(options: argparse.Namespace) -> int:
       sitl gauntlet --fleet fleet.yaml                     your own fleet, with its slots, law and separation_m
       sitl gauntlet --adversarial --flights 5000           search for the worst flights (five hours on two cores)
       sitl gauntlet --adversarial --flights 5000 --resume FOLDER
-      sitl gauntlet --rare platoon,exchange --flights 200  probability per hour that two come too close
+      sitl gauntlet --rare platoon,exchange --flights 40   probability per hour that two come too close (40 minutes)
       sitl gauntlet --external px4 --flights 10            on real autopilots (two minutes a flight)
 
     --adversarial searches, generation by generation, for the flights that come nearest to a violation: of separation_m, or of
@@ -237,8 +237,9 @@ def _run_gauntlet(options: argparse.Namespace) -> int:
     complete, and --resume goes on.
 
     --rare estimates how probable it is in an hour that two vehicles in formation come nearer than separation_m less three
-    sigmas, with loss, delay, gusts and sensor noise: a flight that comes near goes on as four with other random numbers.
-    --flights is the number of first flights of a mission. The nearest flight of each is written as a scenario file.
+    sigmas, with loss, delay, gusts and sensor noise: in each of up to 18 stages the nearest quarter of the flights go on, also
+    with other random numbers. --flights is the number of flights in a stage. The nearest of each mission is written as a
+    scenario file.
 
     --external leaves out what only stand-ins can do (pilots, failures, split networks) and fleets of more than six; flights
     land, and each has a folder like that of `sitl fly`.

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
-from math import dist, hypot, inf
+from math import hypot, inf
 from pathlib import Path
 from statistics import fmean
 
@@ -21,6 +21,7 @@ import yaml
 from msgspec import Struct
 from msgspec.structs import replace
 
+from companion.geometry.vectors import dot, minus
 from companion.types.errors import EXIT_DONE, EXIT_FAILED
 from companion.types.flight import FlightPhase
 from sitl.autopilots.autopilot import DT_S
@@ -31,7 +32,7 @@ from sitl.flight.orders import FlightFailure
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.virtual_flight import collecting_seldom
 from sitl.flight.watch import watch_of
-from sitl.gauntlet.splitting import EVENT, Estimate, Leaf, Splitter, estimate, next_levels
+from sitl.gauntlet.splitting import KEPT_OF, MOST_LEVELS, Branching, Estimate, Leaf, Seed, Splitter, estimate
 from sitl.report.folder import Column, results_folder, table_text
 from sitl.report.progress import FlightProgress, ShareProgress
 from sitl.stopping import StopNow, StopRequest
@@ -39,10 +40,10 @@ from sitl.vehicle.config import Reseed
 from sitl.workers import POLL_S, Workers
 
 SIGMAS = 3.0
+AHEAD_S = 0.6  # branches begin where vehicles approach: beside the smallest distance they would differ by millimetres
 GOAL_1_H = 1e-6  # upper bound of the probability per hour
 SEEDS_APART = 1_000_000  # those of two seeds of the command have no flight in common
 FORMATION = FlightPhase.FORMATION
-PILOT_FLIGHTS = 32  # first flights for each level of the pilot
 DISTURBED = (
     "stand_in.sensors=default",
     "stand_in.wind={mean_enu_m_s: [3.0, 1.0, 0.0], gust_sd_m_s: 1.0}",
@@ -75,59 +76,67 @@ def mission(name: str, seed: int) -> Scenario:
 
 
 class RareJob(Struct, frozen=True):
-    """One first flight of a mission, with its branches."""
+    """A flight of a mission by its seeds, with its branches. The first seed is that of its stand-ins."""
 
     mission: str
-    seed: int
-    levels: tuple[float, ...]
+    branching: Branching
 
 
 class WatchedLockstep(Lockstep):
-    """A fleet whose smallest distance is given to a splitter at 50 Hz. `formation_s`: how long two were in formation."""
+    """A fleet whose distances are given to a splitter at 50 Hz. `formation_s`: how long two were in formation."""
 
-    def __init__(self, scenario: Scenario, levels: Sequence[float]) -> None:
+    def __init__(self, scenario: Scenario, branching: Branching) -> None:
         super().__init__(scenario)
-        self.splitter = Splitter(levels, str(scenario.stand_in.seed), self.reseed)
+        self.splitter = Splitter(branching, self.reseed)
         self.formation_s = 0.0
         self._separation_m = scenario.fleet.separation_m
 
     def _step(self) -> None:
         super()._step()
         if self._steps % TELEMETRY_STEPS == 0:
-            score = self._score()
-            self.formation_s += TELEMETRY_STEPS * DT_S if score < inf else 0.0
-            self.splitter.look(self._now_s, score)
+            least, soon = self._least_shares()
+            self.formation_s += TELEMETRY_STEPS * DT_S if least < inf else 0.0
+            self.splitter.look(self._now_s, soon, least)
 
-    def _score(self) -> float:
-        """The smallest distance of two vehicles in formation as a share of what the event allows; infinite without two."""
-        least = inf
+    def _least_shares(self) -> tuple[float, float]:
+        """The smallest distance of two vehicles in formation as a share of what the event allows, now and after AHEAD_S.
+
+        Infinite without two.
+        """
+        least = soon = inf
         flying = [
-            (status.motion.position_error.horizontal_m, stand_in.autopilot.quad.position_enu_m)
+            (status.motion.position_error.horizontal_m, stand_in.autopilot.quad)
             for stand_in, vehicle in zip(self.stand_ins, self.in_order, strict=True)
             if vehicle.agent.phase is FORMATION and (status := vehicle.status) and status.motion.position_error
         ]
-        for (one_m, place), (other_m, other_place) in combinations(flying, 2):
+        for (one_m, one), (other_m, other) in combinations(flying, 2):
             required_m = self._separation_m - SIGMAS * hypot(one_m, other_m)
             if required_m > 0.0:
-                least = min(least, dist(place, other_place) / required_m)
-        return least
+                apart_m = minus(one.position_enu_m, other.position_enu_m)
+                distance_m = hypot(*apart_m)
+                velocity_m_s = minus(one.velocity_enu_m_s, other.velocity_enu_m_s)
+                closing_m_s = max(0.0, -dot(apart_m, velocity_m_s) / distance_m)
+                least = min(least, distance_m / required_m)
+                soon = min(soon, (distance_m - AHEAD_S * closing_m_s) / required_m)
+        return least, soon
 
 
 class RareFlight(Struct, frozen=True):
-    """What became of a first flight and its branches; `formation_s` of the first, up to its end or its split."""
+    """What became of a flight or its branches; `formation_s` of the flight, up to its end or its branches."""
 
     leaves: list[Leaf]
     formation_s: float
 
 
 def fly_rare(job: RareJob) -> RareFlight:
-    """Fly a mission with these random numbers, split at these levels."""
-    return fly_split(mission(job.mission, job.seed), job.levels)
+    """Fly a mission with these random numbers, up to its end or its branches."""
+    seeds = job.branching.seeds
+    return fly_split(reseeded(mission(job.mission, int(seeds[0].seed)), seeds), job.branching)
 
 
-def fly_split(scenario: Scenario, levels: Sequence[float]) -> RareFlight:
-    """Fly a scenario, split at these levels. The first seed of a leaf is that of its stand-ins."""
-    fleet = WatchedLockstep(scenario, levels)
+def fly_split(scenario: Scenario, branching: Branching) -> RareFlight:
+    """Fly a scenario, which has these seeds, up to its end or its branches."""
+    fleet = WatchedLockstep(scenario, branching)
     director = Director(
         fleet, watch_of(scenario, fleet.now_s()), FlightProgress("", True, 0.0), lambda: None, tuple, fleet
     )
@@ -143,13 +152,11 @@ def fly_split(scenario: Scenario, levels: Sequence[float]) -> RareFlight:
 
 @dataclass(frozen=True, slots=True)
 class Probability:
-    """Of one mission: its levels, the estimate for one flight, the hours in formation of one, and the worst flight."""
+    """Of one mission: the estimate for one flight, and the hours in formation of one."""
 
     mission: str
-    levels: tuple[float, ...]
     found: Estimate
     hours: float
-    worst: Leaf
 
     @property
     def per_hour(self) -> tuple[float, float]:
@@ -174,28 +181,31 @@ def run_rare(arguments: argparse.Namespace, missions: Sequence[str]) -> int:
 
 
 class Flights:
-    """Flies the first flights of missions on all cores, with other random numbers in each batch."""
+    """Flies missions on all cores, each with random numbers of its own."""
 
     def __init__(self, workers: Workers, progress: ShareProgress, stop: StopRequest, seed: int) -> None:
         self._workers, self._progress, self._stop, self._next_seed = workers, progress, stop, seed * SEEDS_APART
 
     def estimated(self, name: str, count: int) -> Probability:
-        """The pilot chooses the levels, then `count` first flights are estimated with them."""
-        levels: tuple[float, ...] = ()
-        hours = 0.0
-        while EVENT not in levels:
-            flown = self._fly(name, PILOT_FLIGHTS, levels, f"{name}, level {len(levels) + 1}")
-            if not levels:  # these were not split: they are whole
-                hours = fmean(flight.formation_s for flight in flown) / 3600.0
-            levels += next_levels([leaf for flight in flown for leaf in flight.leaves], levels)
-        flown = self._fly(name, count, levels, f"{name}, {len(levels)} levels")
-        roots = [flight.leaves for flight in flown]
-        worst = min((leaf for root in roots for leaf in root), key=lambda leaf: leaf.least)
-        return Probability(name, levels, estimate(roots, len(levels)), hours, worst)
+        """By stages of `count` flights."""
+        whole_s: list[float] = []
+        stages = 0
 
-    def _fly(self, name: str, count: int, levels: tuple[float, ...], stage: str) -> list[RareFlight]:
-        jobs = [RareJob(name, self._next_seed + index, levels) for index in range(count)]
+        def fly(branchings: Sequence[Branching]) -> list[Leaf]:
+            nonlocal stages
+            flown = self._fly(name, branchings, f"{name}, {stages} levels of at most {MOST_LEVELS}")
+            stages += 1
+            whole_s.extend(
+                flight.formation_s for flight, one in zip(flown, branchings, strict=True) if not one.branches
+            )
+            return [leaf for flight in flown for leaf in flight.leaves]
+
+        found = estimate(fly, count, self._next_seed)
         self._next_seed += count
+        return Probability(name, found, fmean(whole_s) / 3600.0)
+
+    def _fly(self, name: str, branchings: Sequence[Branching], stage: str) -> list[RareFlight]:
+        jobs = [RareJob(name, branching) for branching in branchings]
         self._progress.begin(stage)
         with self._workers.running(fly_rare, jobs) as in_progress:
             while not in_progress.wait(POLL_S):
@@ -216,8 +226,8 @@ COLUMNS: tuple[Column, ...] = (
 )
 MEANING = f"""\
 The event: two vehicles in formation nearer than separation_m less {SIGMAS:g} sigmas of the pair. least share: the smallest
-distance of all flights as a share of that; flights: with all branches, each of which flies on from its split; upper
-95 %: per hour"""
+distance of all flights as a share of that; levels: each is passed by one in {KEPT_OF}, at most {MOST_LEVELS}; flights: with
+all branches, each of which flies on from its level; upper 95 %: per hour"""
 
 
 def _row(estimated: Probability) -> tuple[str, ...]:
@@ -225,23 +235,24 @@ def _row(estimated: Probability) -> tuple[str, ...]:
     found = estimated.found
     return (
         estimated.mission,
-        str(len(estimated.levels)),
+        str(len(found.levels)),
         str(found.simulations),
-        f"{estimated.worst.least:.2f}",
+        f"{found.worst.least:.2f}",
         *(f"{value:.1e}" if value else "0" for value in (found.probability, per_hour, upper)),
     )
 
 
-def reseeded(scenario: Scenario, leaf: Leaf) -> Scenario:
-    """The scenario whose flight is that of the leaf, with its random numbers from each split on."""
-    reseeds = tuple(Reseed(at_s=one.at_s, seed=one.seed) for one in leaf.seeds[1:])
+def reseeded(scenario: Scenario, seeds: Sequence[Seed]) -> Scenario:
+    """The scenario with the random numbers of these seeds, the first of which is that of its stand-ins."""
+    reseeds = tuple(Reseed(at_s=one.at_s, seed=one.seed) for one in seeds[1:])
     return replace(scenario, stand_in=replace(scenario.stand_in, reseeds=reseeds))
 
 
 def _written(folder: Path, estimated: Probability, seed: int) -> str:
     """Write the worst flight as a scenario file, and return its line."""
-    scenario = reseeded(mission(estimated.mission, int(estimated.worst.seeds[0].seed)), estimated.worst)
+    worst = estimated.found.worst
+    scenario = reseeded(mission(estimated.mission, int(worst.seeds[0].seed)), worst.seeds)
     path = folder / f"{estimated.mission}.yaml"
-    line = f"{estimated.mission}, seed {seed}: two vehicles at {estimated.worst.least:.3f} of the distance of the event"
+    line = f"{estimated.mission}, seed {seed}: two vehicles at {worst.least:.3f} of the distance of the event"
     path.write_text(f"# {line}\n{yaml.safe_dump(msgspec.to_builtins(scenario), sort_keys=False)}", encoding="utf-8")
     return f"{line}: sitl run {path}"

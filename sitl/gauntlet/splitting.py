@@ -1,61 +1,57 @@
-"""Rare events by multilevel splitting: a simulation is split where its score first falls below a level, and weighs less.
+"""Rare events by adaptive multilevel splitting: simulations that come near the event branch, and replace the others.
 
-A score below EVENT is the event. Without splitting, a probability of 1e-8 takes 1e8 simulations. With it, each that comes
-below a level goes on as BRANCHES simulations with new random numbers, each with 1/BRANCHES of the weight: where one in BRANCHES
-reaches the next level, as many simulations run at each level, and n levels see BRANCHES^-n with a few hundred. The sum of the
-weights of the events over the number of first simulations has the probability as its mean, whatever the levels are. They only
-decide the variance, so a pilot chooses them, two at a time: each is the quantile 1/BRANCHES of the scores below the one before
-(adaptive multilevel splitting; Cerou and Guyader, Stochastic Analysis and Applications 25(2), 2007; here the levels are fixed).
+A measure below EVENT is the event. A score says how near to it a simulation is, best before the measure does: where branches
+begin at the last moment, they hardly differ. A stage has a fixed number of simulations, and its level is the score that one in
+KEPT_OF of them comes below. These are kept. Each of the others is replaced by a branch of a kept one, which is the same
+simulation up to where its score first falls below the level, and has new random numbers from there. So one level after the
+other is passed, each with one in KEPT_OF of the probability. The product of the shares that were kept has the probability as
+its mean, whatever the score is (Brehier, Gazeau, Goudenege, Lelievre and Rousset, Annals of Applied Probability 26(6), 2016).
 
-A simulation is split by os.fork: its state is in the call stack and in hundreds of objects, and a copy of the process has all
-of it. A branch flies on in the child, while the parent waits: one process computes at a time, and the order decides nothing.
-
-A simulation that is on its way to the event passes level after level with all its branches, 4^12 of them. So one first
-simulation is split MOST_SPLITS times at most. What passes a level after that goes on alone with its whole weight, which leaves
-the mean as it is.
+A branch begins by os.fork: the state of a simulation is in the call stack and in hundreds of objects, and a copy of the process
+has all of it. The kept simulation runs again for that, by its seeds, up to the level; its branches fly on in children, one
+after the other.
 """
 
 from __future__ import annotations
 
-import mmap
 import os
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from math import exp, inf, log, sqrt
+from math import exp, inf, log, prod, sqrt
+from random import Random
 from statistics import NormalDist
 
 import msgspec
 from msgspec import Struct
 
-EVENT = 1.0  # a score below it is the event
-BRANCHES = 4
-MOST_LEVELS = 12
-MOST_SPLITS = 64  # of one first simulation; 3 are usual with so many levels
-FEWEST = 12  # scores below a level, for the quantile of the next one
+EVENT = 1.0  # a measure below it is the event
+KEPT_OF = 4
+MOST_LEVELS = 18  # 4^-18 = 1.5e-11
 CONFIDENCE = 0.95
 
 
 class Seed(Struct, frozen=True):
-    """The random numbers of a simulation are those of this seed from `at_s` on, when it had passed so many levels."""
+    """The random numbers of a simulation are those of this seed from `at_s` on."""
 
     at_s: float
     seed: str
-    passed: int = 0
 
 
 class Leaf(Struct, frozen=True):
-    """A simulation that ended: how many levels it passed, its least score, and the seeds by which it runs again."""
+    """A simulation that ended: its least score and measure, and the seeds by which it runs again."""
 
-    passed: int
+    score: float
     least: float
     seeds: tuple[Seed, ...]
 
-    @property
-    def weight(self) -> float:
-        """It stands for so many simulations: one, divided by BRANCHES at each split."""
-        return float(BRANCHES ** -(len(self.seeds) - 1))
+
+class Branching(Struct, frozen=True):
+    """A simulation to run by its seeds. Below `level` it ends, and its branches go on with these seeds."""
+
+    seeds: tuple[Seed, ...]
+    level: float = -inf
+    branches: tuple[str, ...] = ()
 
 
 class _Split(BaseException):
@@ -63,42 +59,38 @@ class _Split(BaseException):
 
 
 class Splitter:
-    """Runs one simulation and its branches. The simulation calls `look` with its score as it goes on."""
+    """Runs one simulation or its branches. The simulation applies its seeds, and calls `look` as it goes on."""
 
-    def __init__(self, levels: Sequence[float], seed: str, reseed: Callable[[str], None]) -> None:
-        """`levels` fall, the last is EVENT; `reseed` gives the simulation new random numbers from a seed."""
-        self._levels, self._reseed = levels, reseed
-        self._seeds: tuple[Seed, ...] = (Seed(0.0, seed),)
-        self._passed, self._least = 0, inf
+    def __init__(self, job: Branching, reseed: Callable[[str], None]) -> None:
+        """`reseed` gives the simulation new random numbers from a seed."""
+        self._seeds, self._level, self._branches = job.seeds, job.level, job.branches
+        self._reseed = reseed
+        self._score = self._least = inf
         self._leaves: list[Leaf] = []
-        self._splits = mmap.mmap(-1, 4)  # how many there were, shared with all branches
         self._out: int | None = None  # of a branch: the pipe to its parent
 
-    def look(self, at_s: float, score: float) -> None:
-        """At a point of a simulation: its score now. Does not return where it was split, or at the event."""
-        if score < self._least:
-            self._least = score
-        if self._passed == len(self._levels) or score >= self._levels[self._passed]:
+    def look(self, at_s: float, score: float, measure: float) -> None:
+        """At a point of a simulation: its score and measure now. Does not return where the branches have run."""
+        self._score, self._least = min(self._score, score), min(self._least, measure)
+        if score >= self._level:
             return
-        while self._passed < len(self._levels) and score < self._levels[self._passed]:
-            self._passed += 1
-        if self._passed == len(self._levels):
-            self._leaves = [self._leaf()]
-            raise _Split
-        splits = int.from_bytes(self._splits[:], "big")
-        if splits == MOST_SPLITS:
-            return
-        self._splits[:] = (splits + 1).to_bytes(4, "big")
-        for branch in range(BRANCHES):
-            if self._became_branch(at_s, f"{self._seeds[-1].seed}.{branch}"):
+        self._level = -inf
+        before = tuple(one for one in self._seeds if one.at_s < at_s)
+        for seed in self._branches:
+            if self._became_branch(before, Seed(at_s, seed)):
                 return
         raise _Split
 
     def run(self, simulate: Callable[[], None]) -> list[Leaf]:
-        """The leaves of the simulation. Returns in the first process alone. Raises what the simulation raised in it."""
+        """The leaves: of the simulation, or of its branches. Returns in the first process alone.
+
+        Raises what the simulation raised, and RuntimeError where a branch failed or the level was not passed.
+        """
         try:
             simulate()
-            self._leaves = [self._leaf()]
+            if self._level > -inf:
+                raise RuntimeError(f"the simulation did not come below {self._level} again")
+            self._leaves = [Leaf(self._score, self._least, self._seeds)]
         except _Split:
             pass
         except BaseException:
@@ -108,20 +100,20 @@ class Splitter:
             os._exit(1)
         if self._out is None:
             return self._leaves
-        content = msgspec.json.encode(self._leaves)
+        content = msgspec.msgpack.encode(self._leaves)
         while content:
             content = content[os.write(self._out, content) :]
         os._exit(0)
 
-    def _became_branch(self, at_s: float, seed: str) -> bool:
-        """In a new process True; in this one False, once that one has ended, with its leaves."""
+    def _became_branch(self, before: tuple[Seed, ...], seed: Seed) -> bool:
+        """In a new process True; in this one False, once that one has ended, with its leaf."""
         ours, theirs = os.pipe()
         child = os.fork()
         if child == 0:
             os.close(ours)
             self._out, self._leaves = theirs, []
-            self._seeds += (Seed(at_s, seed, self._passed),)
-            self._reseed(seed)
+            self._seeds = (*before, seed)
+            self._reseed(seed.seed)
             return True
         os.close(theirs)
         with os.fdopen(ours, "rb") as pipe:
@@ -129,65 +121,72 @@ class Splitter:
         _, status = os.waitpid(child, 0)
         if status:
             raise RuntimeError(f"a branch of the simulation ended with {os.waitstatus_to_exitcode(status)}")
-        self._leaves += msgspec.json.decode(content, type=list[Leaf])
+        self._leaves += msgspec.msgpack.decode(content, type=list[Leaf])
         return False
-
-    def _leaf(self) -> Leaf:
-        return Leaf(self._passed, self._least, self._seeds)
-
-
-def next_levels(leaves: Sequence[Leaf], levels: Sequence[float]) -> tuple[float, ...]:
-    """The next levels of a pilot with these levels, up to two; EVENT is the last, also where too few come below the others.
-
-    One in BRANCHES comes below the first of them, and one in BRANCHES of these below the second.
-    """
-    scores = sorted(leaf.least for leaf in leaves if leaf.passed == len(levels))
-    if len(scores) < FEWEST or len(levels) >= MOST_LEVELS - 1:
-        return (EVENT,)
-    first, second = (max(scores[len(scores) // share], EVENT) for share in (BRANCHES, BRANCHES * BRANCHES))
-    return (first, second) if first > second else (first,)
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """The probability of the event in one simulation, with an upper bound of CONFIDENCE.
 
-    `shares`: of the simulations that passed a level, the share that passed the next one. `simulations`: all, with branches.
+    `simulations`: all, with branches; `worst`: the one of the least measure.
     """
 
     probability: float
     upper: float
-    shares: tuple[float, ...]
+    levels: tuple[float, ...]
     simulations: int
+    worst: Leaf
 
 
-def estimate(roots: Sequence[Sequence[Leaf]], levels: int) -> Estimate:
-    """From the leaves of each first simulation. These are independent, the branches of one split are not quite.
+def estimate(simulate: Callable[[Sequence[Branching]], list[Leaf]], count: int, first_seed: int) -> Estimate:
+    """By stages of `count` simulations. The first ones have the seeds from `first_seed` on; `simulate` runs a batch."""
+    random = Random(first_seed)
+    leaves = simulate([Branching((Seed(0.0, str(first_seed + index)),)) for index in range(count)])
+    levels: list[float] = []
+    shares: list[float] = []
+    trials, simulations = [count], count
+    while True:
+        events = sum(leaf.least < EVENT for leaf in leaves)
+        level, kept = next_level(leaves)
+        if KEPT_OF * events >= count or not kept or len(levels) == MOST_LEVELS:
+            break
+        levels.append(level)
+        shares.append(len(kept) / count)
+        trials.append(len(kept))
+        name = f"{first_seed}.{len(levels)}"
+        leaves = kept + simulate(_branchings(kept, count - len(kept), level, name, random))
+        simulations += count - len(kept)
+    shares.append(events / count)
+    worst = min(leaves, key=lambda leaf: leaf.least)
+    return Estimate(prod(shares), upper_bound(shares, trials), tuple(levels), simulations, worst)
 
-    So the variance of a share is taken as if all branches of one split were one trial, and the levels are taken as independent.
-    Where no simulation passed a level, its share is bounded as Clopper and Pearson do, and those before with the other half
-    of the error probability.
+
+def next_level(leaves: Sequence[Leaf]) -> tuple[float, list[Leaf]]:
+    """The score that one in KEPT_OF comes below, and those that do: none where the best ones are equal."""
+    level = sorted(leaf.score for leaf in leaves)[len(leaves) // KEPT_OF]
+    return level, [leaf for leaf in leaves if leaf.score < level]
+
+
+def _branchings(kept: Sequence[Leaf], count: int, level: float, name: str, random: Random) -> list[Branching]:
+    """So many branches of the kept ones, as many of each; chance decides which have one more."""
+    order = random.sample(range(len(kept)), len(kept))
+    seeds = [tuple(f"{name}.{index}" for index in range(place, count, len(kept))) for place in range(len(kept))]
+    return [Branching(kept[one].seeds, level, own) for one, own in zip(order, seeds, strict=True) if own]
+
+
+def upper_bound(shares: Sequence[float], trials: Sequence[int]) -> float:
+    """Of the product of these shares, each of so many independent trials: only the kept simulations count as such.
+
+    The shares are taken as independent. Where the last one is 0, it is bounded as Clopper and Pearson do, and those before with
+    the other half of the error probability.
     """
-    leaves = [leaf for root in roots for leaf in root]
-    weights = [sum(leaf.weight for leaf in leaves if leaf.passed >= level) for level in range(levels + 1)]
-    trials = [len(roots), *(len(_passing(leaves, level)) for level in range(1, levels))]
-    shares = tuple(after / before if before else 0.0 for before, after in pairwise(weights))
-    return Estimate(weights[-1] / len(roots), _upper(shares, trials), shares, len(leaves))
-
-
-def _passing(leaves: Sequence[Leaf], level: int) -> set[str]:
-    """The seeds of the simulations that passed this level, as they were then."""
-    return {[one for one in leaf.seeds if one.passed < level][-1].seed for leaf in leaves if leaf.passed >= level}
-
-
-def _upper(shares: Sequence[float], trials: Sequence[int]) -> float:
-    """The upper bound of the product of these shares, each of so many independent trials."""
-    error = 1.0 - CONFIDENCE
+    error, quantile = 1.0 - CONFIDENCE, NormalDist().inv_cdf
     logarithm = variance = 0.0
     for share, count in zip(shares, trials, strict=False):
         if share == 0.0:
-            last = 1.0 - (0.5 * error) ** (1.0 / count) if count else 1.0
-            return min(1.0, last * exp(logarithm + NormalDist().inv_cdf(1.0 - 0.5 * error) * sqrt(variance)))
+            logarithm += log(1.0 - exp(log(0.5 * error) / count))
+            return min(1.0, exp(logarithm + quantile(1.0 - 0.5 * error) * sqrt(variance)))
         logarithm += log(share)
         variance += (1.0 - share) / (share * count)
-    return min(1.0, exp(logarithm + NormalDist().inv_cdf(CONFIDENCE) * sqrt(variance)))
+    return min(1.0, exp(logarithm + quantile(CONFIDENCE) * sqrt(variance)))

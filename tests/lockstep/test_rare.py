@@ -2,39 +2,54 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from statistics import fmean
 
 import msgspec
+import pytest
 import yaml
 from msgspec.structs import replace
 
-from sitl.flight.scenario import Scenario, load_scenario
-from sitl.gauntlet.rare import MISSIONS, fly_split, mission, reseeded
+from sitl.flight.scenario import load_scenario
+from sitl.gauntlet import rare
+from sitl.gauntlet.rare import MISSIONS, RareFlight, fly_split, mission, reseeded
+from sitl.gauntlet.splitting import EVENT, Branching, Leaf, Seed, estimate
 
-NO_SPLIT = 0.0
+
+def first(seed: int) -> Branching:
+    return Branching((Seed(0.0, str(seed)),))
 
 
-def short(seed: int) -> Scenario:
+def short(branching: Branching) -> RareFlight:
     """The platoon for four seconds in formation."""
-    scenario = mission("platoon", seed)
+    scenario = mission("platoon", int(branching.seeds[0].seed))
     form = scenario.timeline[-1]
-    return replace(scenario, timeline=(*scenario.timeline[:-1], replace(form, for_s=4.0)))
+    scenario = replace(scenario, timeline=(*scenario.timeline[:-1], replace(form, for_s=4.0)))
+    return fly_split(reseeded(scenario, branching.seeds), branching)
 
 
-def test_a_branch_flies_again_from_its_scenario_file(tmp_path: Path) -> None:
-    (whole,) = fly_split(short(3), (NO_SPLIT,)).leaves
-    level = whole.least + 0.01
-    flight = fly_split(short(3), (level, NO_SPLIT))
-    branches = flight.leaves
-    assert len(branches) == 4
-    assert len({leaf.least for leaf in branches}) == 4, "each branch has random numbers of its own"
-    assert all(leaf.passed == 1 and leaf.weight == 0.25 for leaf in branches)
+def test_a_branch_flies_again_by_its_seeds() -> None:
+    whole = short(first(3))
+    level = whole.leaves[0].score + 0.01
+    branching = Branching(first(3).seeds, level, ("a", "b", "c"))
+    flight = short(branching)
+    assert len({leaf.least for leaf in flight.leaves}) == 3, "each branch has random numbers of its own"
+    assert all(leaf.score < level and leaf.score <= leaf.least for leaf in flight.leaves)
+    assert 0.0 < flight.formation_s < whole.formation_s
+    for leaf in flight.leaves[::2]:
+        assert short(Branching(leaf.seeds)).leaves == [leaf]
+    (deeper,) = short(Branching(flight.leaves[0].seeds, flight.leaves[0].score + 1e-6, ("d",))).leaves
+    assert short(Branching(deeper.seeds)).leaves == [deeper]
+    assert short(branching) == flight
+
+
+def test_the_scenario_file_of_a_branch_is_its_flight(tmp_path: Path) -> None:
+    seeds = (*first(3).seeds, Seed(9.5, "a"))
+    scenario = reseeded(mission("platoon", 3), seeds)
     file = tmp_path / "branch.yaml"
-    for leaf in branches[::3]:
-        file.write_text(yaml.safe_dump(msgspec.to_builtins(reseeded(short(3), leaf))))
-        (again,) = fly_split(load_scenario(file), (NO_SPLIT,)).leaves
-        assert again.least == leaf.least
-    assert fly_split(short(3), (level, NO_SPLIT)) == flight
+    file.write_text(yaml.safe_dump(msgspec.to_builtins(scenario)))
+    assert load_scenario(file) == scenario
 
 
 def test_each_mission_ends_in_formation_and_is_disturbed() -> None:
@@ -43,3 +58,19 @@ def test_each_mission_ends_in_formation_and_is_disturbed() -> None:
         assert scenario.stand_in.seed == 7
         assert scenario.links.peer_loss > 0.0 and scenario.stand_in.wind.gust_sd_m_s > 0.0
         assert str(scenario.timeline[-1].command) not in ("hold", "land")
+
+
+@pytest.mark.long
+def test_split_flights_find_what_plain_ones_find(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An event that some 3 % of the plain flights have: two are nearer than separation_m and 4.25 sigmas."""
+    monkeypatch.setattr(rare, "SIGMAS", -4.25)
+
+    def flown(jobs: Sequence[Branching]) -> list[Leaf]:
+        return [leaf for job in jobs for leaf in short(job).leaves]
+
+    plain = flown([first(seed) for seed in range(1000, 1400)])
+    share = sum(leaf.least < EVENT for leaf in plain) / len(plain)
+    found = [estimate(flown, 40, 1000 * seed) for seed in range(2, 10)]
+    assert 0.01 < share < 0.08
+    print(f"\n{share:.4f} of 400 plain flights; by splitting {[round(one.probability, 4) for one in found]}")
+    assert 0.5 < fmean(one.probability for one in found) / share < 2.0

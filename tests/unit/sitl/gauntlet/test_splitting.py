@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import exp, inf
 from random import Random
 
 import pytest
 
-from sitl.gauntlet import splitting
-from sitl.gauntlet.splitting import EVENT, Estimate, Leaf, Seed, Splitter, estimate, next_levels
+from sitl.gauntlet.splitting import (
+    EVENT,
+    MOST_LEVELS,
+    Branching,
+    Leaf,
+    Seed,
+    Splitter,
+    estimate,
+    next_level,
+    upper_bound,
+)
 
 STEPS, HEIGHT = 60, 26  # of the walk: up or down by 1
 
@@ -31,92 +42,122 @@ def score(place: int) -> float:
     return EVENT + HEIGHT - 0.5 - place
 
 
-def walk(seed: str, levels: list[float]) -> list[Leaf]:
-    random = Random(seed)
-    splitter = Splitter(levels, seed, random.seed)
+def walk(job: Branching, event_height: int = HEIGHT) -> list[Leaf]:
+    random = Random()
+    splitter = Splitter(job, random.seed)
 
     def simulate() -> None:
-        place = 0
+        place, seeds = 0, list(job.seeds)
         for step in range(STEPS):
+            if seeds and seeds[0].at_s == step:
+                random.seed(seeds.pop(0).seed)
             place += 1 if random.random() < 0.5 else -1
-            splitter.look(float(step), score(place))
+            splitter.look(float(step + 1), score(place) + event_height - HEIGHT, score(place) + event_height - HEIGHT)
 
     return splitter.run(simulate)
 
 
-def estimated(seed: int, levels: list[float], roots: int) -> Estimate:
-    return estimate([walk(f"{seed}.{root}", levels) for root in range(roots)], len(levels))
+def walks(jobs: Sequence[Branching]) -> list[Leaf]:
+    return [leaf for job in jobs for leaf in walk(job)]
 
 
-LEVELS = [score(height) + 0.25 for height in (8, 14, 20)] + [EVENT]
+def first(seed: str) -> Branching:
+    return Branching((Seed(0.0, seed),))
 
 
 def test_the_estimate_finds_a_known_probability() -> None:
     known = probability(HEIGHT)
     assert known < 1e-3
-    found = [estimated(seed, LEVELS, 100) for seed in range(4)]
+    found = [estimate(walks, 100, 1000 * seed) for seed in range(8)]
     assert sum(one.probability for one in found) / len(found) == pytest.approx(known, rel=0.3)
-    assert all(known < one.upper < 10.0 * known for one in found)
-    assert all(one.simulations < 1000 for one in found)
+    assert all(known < one.upper < 30.0 * known for one in found)
+    assert all(one.simulations < 1000 and one.levels[-1] > EVENT > one.worst.least for one in found)
 
 
-def test_with_few_splits_the_mean_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(splitting, "MOST_SPLITS", 3)
-    near = [score(height) + 0.25 for height in (4, 8, 12)]
-    found = [estimated(seed, near, 200) for seed in range(4)]
-    assert sum(one.probability for one in found) / len(found) == pytest.approx(probability(12), rel=0.15)
-    assert all(probability(12) < one.upper for one in found)
-    assert max(len(walk(str(root), near)) for root in range(50)) == 1 + 3 * (splitting.BRANCHES - 1)
-
-
-def test_without_levels_between_it_is_plain_monte_carlo() -> None:
-    found = estimated(1, [score(12) + 0.25], 300)
-    assert found.probability == pytest.approx(probability(12), abs=0.06)
+def test_where_the_event_is_frequent_it_is_plain_monte_carlo() -> None:
+    found = estimate(lambda jobs: [leaf for job in jobs for leaf in walk(job, 4)], 300, 1)
+    assert found.levels == ()
+    assert found.probability == pytest.approx(probability(4), abs=0.06)
     assert found.simulations == 300
-    assert probability(12) < found.upper < 2.0 * probability(12)
+    assert probability(4) < found.upper < 1.3 * probability(4)
 
 
-def test_levels_are_quantiles_of_the_scores_below_the_one_before() -> None:
-    leaves = [Leaf(passed=k % 2, least=2.0 + 0.01 * k, seeds=(Seed(0.0, str(k)),)) for k in range(96)]
-    assert EVENT not in next_levels(leaves, [])
-    assert next_levels(leaves, [9.0]) == pytest.approx((2.25, 2.07))  # of the 48 that passed: the 13th and the 4th
-    assert next_levels(leaves[:20], [9.0]) == (EVENT,)  # too few
-    assert next_levels(leaves, [9.0] * 11) == (EVENT,)
-    near = [Leaf(1, 0.5, (Seed(0.0, "1"),))] * 20
-    assert next_levels(near, [9.0]) == (EVENT,)
-    beyond = [Leaf(1, 0.5 + 0.1 * k, (Seed(0.0, str(k)),)) for k in range(48)]
-    assert next_levels(beyond, [9.0]) == pytest.approx((1.7, EVENT))
+def test_the_level_is_a_quantile_of_the_scores() -> None:
+    leaves = [Leaf(2.0 + 0.01 * k, 3.0, (Seed(0.0, str(k)),)) for k in range(96)]
+    level, kept = next_level(leaves)
+    assert level == pytest.approx(2.24)
+    assert kept == leaves[:24]
+    same = [Leaf(2.0, 3.0, leaf.seeds) for leaf in leaves]
+    assert next_level(same) == (2.0, [])
+
+
+def test_it_ends_where_all_are_equal_and_after_the_most_levels() -> None:
+    def equal(jobs: Sequence[Branching]) -> list[Leaf]:
+        return [Leaf(2.0, 3.0, job.seeds) for job in jobs]
+
+    found = estimate(equal, 40, 1)
+    assert (found.probability, found.levels, found.simulations) == (0.0, (), 40)
+
+    def falling(jobs: Sequence[Branching]) -> list[Leaf]:
+        seeds = [(*job.seeds, Seed(0.0, name)) for job in jobs for name in job.branches] or [job.seeds for job in jobs]
+        return [Leaf(-float(len(one) * 1000 + k), 2.0, one) for k, one in enumerate(seeds)]
+
+    found = estimate(falling, 40, 1)
+    assert len(found.levels) == MOST_LEVELS
+    assert 0.25**MOST_LEVELS < found.upper < 100.0 * 0.25**MOST_LEVELS
 
 
 def test_where_nothing_happened_the_bound_remains() -> None:
-    found = estimated(1, [EVENT], 60)
-    assert (found.probability, found.simulations) == (0.0, 60)
-    assert 0.04 < found.upper < 0.07  # Clopper and Pearson: 1 - 0.025^(1/60)
+    assert upper_bound([0.0], [60]) == pytest.approx(1.0 - 0.025 ** (1.0 / 60.0))  # Clopper and Pearson
+    assert upper_bound([0.25, 0.0], [400, 100]) == pytest.approx(
+        0.25 * (1.0 - 0.025**0.01) * exp(1.96 * 0.0866), rel=0.01
+    )
+    assert upper_bound([1.0, 1.0], [10, 10]) == 1.0
 
 
-def test_a_branch_runs_again_by_its_seeds() -> None:
-    levels = [score(6), score(12), EVENT]
-    leaf = max((leaf for root in range(30) for leaf in walk(str(root), levels)), key=lambda one: len(one.seeds))
-    assert len(leaf.seeds) >= 3
-    random, place, least = Random(), 0, score(-STEPS)
-    seeds = list(leaf.seeds)
-    random.seed(seeds.pop(0).seed)
-    for step in range(STEPS):
-        place += 1 if random.random() < 0.5 else -1
-        least = min(least, score(place))
-        if seeds and seeds[0].at_s == step:
-            random.seed(seeds.pop(0).seed)
-        if least < EVENT:
-            break
-    assert least == leaf.least
+def test_a_branch_is_the_same_simulation_up_to_its_level() -> None:
+    job = next(one for one in map(first, map(str, range(50))) if walk(one)[0].least < score(12))
+    leaves = walk(Branching(job.seeds, score(12) + 0.25, ("a", "b")))
+    assert [leaf.seeds[1].seed for leaf in leaves] == ["a", "b"]
+    assert leaves[0].seeds[0] == job.seeds[0] and leaves[0].seeds[1].at_s == leaves[1].seeds[1].at_s
+    assert all(leaf.least <= score(12) for leaf in leaves)
+    assert walk(Branching(leaves[0].seeds)) == leaves[:1]
+    again = walk(Branching(leaves[0].seeds, score(12) + 0.25, ("c",)))
+    assert [one.seed for one in again[0].seeds] == [job.seeds[0].seed, "c"], "from where it branched itself"
+
+
+def test_each_kept_one_has_as_many_branches() -> None:
+    batches: list[Sequence[Branching]] = []
+
+    def kept(jobs: Sequence[Branching]) -> list[Leaf]:
+        batches.append(jobs)
+        return walks(jobs)
+
+    estimate(kept, 10, 5)
+    assert len(batches[0]) == 10 and not batches[0][0].branches
+    for jobs in batches[1:]:
+        counts = sorted(len(job.branches) for job in jobs)
+        assert sum(counts) >= 8 and counts[-1] - counts[0] <= 1
+    seeds = [seed for jobs in batches[1:] for job in jobs for seed in job.branches]
+    assert len(set(seeds)) == len(seeds)
+
+
+def test_a_simulation_that_does_not_run_again_is_an_error() -> None:
+    splitter = Splitter(Branching((Seed(0.0, "1"),), 2.0, ("a",)), lambda _: None)
+    with pytest.raises(RuntimeError, match="did not come below"):
+        splitter.run(lambda: splitter.look(0.0, 2.5, 2.5))
 
 
 def test_a_defect_in_a_branch_is_an_error() -> None:
-    splitter = Splitter([2.0, EVENT], "1", lambda _: None)
+    splitter = Splitter(Branching((Seed(0.0, "1"),), 2.0, ("a",)), lambda _: None)
 
     def fails() -> None:
-        splitter.look(0.0, 1.5)
+        splitter.look(0.0, 1.5, 1.5)
         raise ZeroDivisionError("in a branch")
 
     with pytest.raises(RuntimeError, match="a branch of the simulation ended with 1"):
         splitter.run(fails)
+
+
+def test_a_simulation_without_a_score_has_an_infinite_one() -> None:
+    assert Splitter(first("1"), lambda _: None).run(lambda: None) == [Leaf(inf, inf, first("1").seeds)]
