@@ -6,17 +6,21 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from math import dist
 from pathlib import Path
 
 import pytest
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega as mavlink2
 
 from common import ROOT, until
 from companion.config.file import ConfigError
 from companion.types.autopilot import AutopilotKind
 from sitl.flight.real_autopilots import find_program
+from sitl.links.ports import LOOPBACK, ports_of
 from sitl.report.metrics import read_track
 from sitl.report.summary import RunSummary, read_summary
 
@@ -28,6 +32,24 @@ IDS = (1, 2, 3, 4)
 # 1.5 m allow: it flies the line, 3 m apart.
 PLATOON = {AutopilotKind.ARDUPILOT: ("platoon", 1.15), AutopilotKind.PX4: ("four_in_line", 1.8)}
 LABORATORY_M = {AutopilotKind.ARDUPILOT: 1.3, AutopilotKind.PX4: 0.9}
+# Four in a line, 5 m apart. They fly at 2 m/s one behind the other, each link doubled: without vehicle 2 the others fly on.
+LINE = (
+    "fleet.separation_m=2.5",
+    "fleet.law.velocity_correction_1_s=8",
+    "fleet.envelope.fence_max_enu_m=[120, 30, 15]",
+    "fleet.neighbours={kind: edges, edges: [[1, 2], [2, 3], [3, 4], [1, 3], [2, 4], [1, 4]]}",
+    *[f"fleet.vehicles[{n}].slot_enu_m=[{-5 * n}, 0, 0]" for n in range(4)],
+    *[f"starts_enu_m.{n + 1}=[{-5 * n}, 0, 0]" for n in range(4)],
+)
+MOVING = "reference={kind: waypoints, points_enu_m: [[0, 0, 5], [100, 0, 5]], max_speed_m_s: 2.0}"
+BEGINS = "{command: prepare}, {command: arm}, {command: takeoff, for_s: 5, timeout_s: 60}"
+FLIES = "{command: form, for_s: 60}, {command: land}"
+POSITION_CONTROL = {AutopilotKind.ARDUPILOT: (5, 0), AutopilotKind.PX4: (3, 0)}  # LOITER, POSCTL
+GPS_SWITCH = {
+    AutopilotKind.ARDUPILOT: (b"SIM_GPS1_ENABLE", mavlink2.MAV_PARAM_TYPE_REAL32),
+    AutopilotKind.PX4: (b"SIM_GPS_USED", mavlink2.MAV_PARAM_TYPE_INT32),
+}
+HELD_OFF_M = 1.5  # 0.6 of separation_m, as far as PX4's errors in SIH leave
 
 
 def program_of(kind: AutopilotKind) -> Path:
@@ -100,6 +122,39 @@ class RealFlight:
         """Vehicles that are at the height of their start at the end, by their true positions."""
         ends = {i: read_track(self.folder / f"truth_{i}.csv").position_enu_m for i in IDS}
         return [i for i, track in ends.items() if abs(track[-1][2] - track[0][2]) < 0.3]
+
+
+class GroundLink:
+    """The ground station's link of an autopilot, and a pilot's sticks behind it, centred."""
+
+    def __init__(self, kind: AutopilotKind, vehicle_id: int) -> None:
+        ports = ports_of(vehicle_id)
+        is_px4 = kind is AutopilotKind.PX4
+        place = f"udpout:{LOOPBACK}:{ports.ground_link}" if is_px4 else f"tcp:{LOOPBACK}:{ports.tcp}"
+        self.link = mavutil.mavlink_connection(place, source_system=255)
+        self.kind, self.vehicle_id = kind, vehicle_id
+        self.ended = threading.Event()
+
+    def switch_gps_off(self) -> None:
+        name, value_type = GPS_SWITCH[self.kind]
+        self.link.mav.param_set_send(self.vehicle_id, 1, name, 0.0, value_type)
+
+    def take_over(self) -> None:
+        """Sticks for two seconds, then position control, as with a remote control."""
+        threading.Thread(target=self._hold_sticks, daemon=True).start()
+        time.sleep(2.0)
+        mode, sub_mode = POSITION_CONTROL[self.kind]
+        self.link.mav.command_long_send(
+            self.vehicle_id, 1, mavlink2.MAV_CMD_DO_SET_MODE, 0, 1, mode, sub_mode, 0, 0, 0, 0
+        )
+
+    def _hold_sticks(self) -> None:
+        while not self.ended.wait(0.05):
+            try:
+                self.link.mav.heartbeat_send(mavlink2.MAV_TYPE_GCS, mavlink2.MAV_AUTOPILOT_INVALID, 0, 0, 0)
+                self.link.mav.manual_control_send(self.vehicle_id, 0, 0, 500, 0, 0)
+            except OSError:  # the flight has ended
+                return
 
 
 @pytest.fixture
@@ -178,6 +233,40 @@ def test_a_successor_leads_when_the_leaders_agent_falls_silent(
     assert code == 1 and "no report from vehicle 1" in printed
     assert "leader in epoch 1" in (flight.folder / "agent_2.log").read_text("utf-8")
     assert set(flight.landed()) >= {2, 3, 4}
+    assert summary.smallest_distance_m is not None and summary.smallest_distance_m > 0.8
+
+
+def test_the_others_evade_one_that_is_commanded_to_hold(fly: Callable[..., RealFlight], kind: AutopilotKind) -> None:
+    holds = "{command: form, for_s: 15}, {command: hold, vehicles: [2], for_s: 12}, {command: land}"
+    flight = fly("four_in_line", kind, *LINE, MOVING, f"timeline=[{BEGINS}, {holds}]")
+    code, printed, summary = flight.end()
+    assert code == 0, printed
+    assert summary.smallest_distance_m is not None and summary.smallest_distance_m > HELD_OFF_M
+    assert flight.landed() == list(IDS)
+
+
+def test_a_pilot_takes_over_in_motion_and_keeps_the_vehicle(
+    fly: Callable[..., RealFlight], kind: AutopilotKind
+) -> None:
+    flight = fly("four_in_line", kind, *LINE, MOVING, f"timeline=[{BEGINS}, {FLIES}]")
+    flight.wait_for_formation()
+    pilot = GroundLink(kind, 2)
+    pilot.take_over()
+    code, printed, summary = flight.end()
+    pilot.ended.set()
+    assert code == 1 and "vehicle 2 left phase formation: " in printed, printed
+    assert flight.landed() == [1, 3, 4]
+    assert summary.smallest_distance_m is not None and summary.smallest_distance_m > HELD_OFF_M
+
+
+def test_one_without_gps_lands_and_the_others_keep_off(fly: Callable[..., RealFlight], kind: AutopilotKind) -> None:
+    """It lands without a position and drifts; no distance is asked of a vehicle on the ground."""
+    flight = fly("four_in_line", kind, *LINE, f"timeline=[{BEGINS}, {FLIES}]")
+    flight.wait_for_formation()
+    GroundLink(kind, 2).switch_gps_off()
+    code, printed, summary = flight.end()
+    assert code == 1 and "vehicle 2 left phase formation: " in printed, printed
+    assert flight.landed() == list(IDS)
     assert summary.smallest_distance_m is not None and summary.smallest_distance_m > 0.8
 
 
