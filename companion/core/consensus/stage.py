@@ -100,7 +100,6 @@ class PeerSets(Struct, frozen=True, gc=False):
     flying: tuple[PeerPacket, ...] = ()  # the present ones in a cooperating phase
     duplicate_id_s: float = -inf  # when a packet of a second agent with a known id last came
     lost: tuple[LostVehicle, ...] = ()  # those that fell silent, and may still be in the air
-    leaders: Sequence[PeerState] = ()  # the fresh ones that lead
     in_doubt: tuple[int, ...] = ()  # those that send positions and velocities that contradict each other
     refused: tuple[int, ...] = ()  # those that for a while have sent nothing but what is refused, or not believed
     rejected: Mapping[str, int] = {}
@@ -140,20 +139,19 @@ NEWER_S, MISSION_OFF_S, TURNED_RAD = 0.02, 1.0, 0.3
 
 
 def _passed_on(
-    now_s: float, neighbours: Iterable[PeerPacket], leaders: Iterable[PeerState], own_id: int
+    now_s: float, neighbours: Iterable[PeerPacket], fresh: Mapping[int, PeerState], own_id: int
 ) -> list[LeaderBeacon]:
-    """The beacons of neighbours that agree with what the leaders have just said themselves.
+    """The beacons of neighbours that agree with what the fresh leaders have just said themselves.
 
     A vehicle that lies could raise the stamp, so that its words count and the leader's own beacons seem old for a second. What
     is said in another term may be newer. The own beacon comes back from before a handover or a restart.
     """
     others = [b for p in neighbours if (b := p.leader.beacon) is not None and b.leader_id != own_id]
-    for leader in leaders:
-        said = leader.packet.leader.beacon
-        if said is None:
+    for peer in fresh.values():
+        if peer.packet.role is not LEADER or (said := peer.packet.leader.beacon) is None:
             continue
         i, epoch, claim, mission_s = said.leader_id, said.epoch, said.claim, said.reference_s
-        newest = said.stamp + STAMPS_PER_S * (now_s - leader.measured_s + NEWER_S)
+        newest = said.stamp + STAMPS_PER_S * (now_s - peer.measured_s + NEWER_S)
         heading_rad = said.heading.angle_rad
         others = [
             b
@@ -244,7 +242,7 @@ class ConsensusStage:
         relays = self._relays(now_s, flying, fresh, present, in_formation)
         ids = self._rule.select(vehicle.position_enu_m, relays, now_s)
         neighbours = [fresh[i].packet for i in ids]
-        others = _passed_on(now_s, neighbours, sets.leaders, self._own_id)
+        others = _passed_on(now_s, neighbours, fresh, self._own_id)
         self._leader.receive(now_s, others, leadership.term)
         youngest, age_s = self._leader.youngest(now_s)
         settled = self._settle_term(now_s, in_formation, youngest, flying)
@@ -283,7 +281,6 @@ class ConsensusStage:
             fresh=fresh,
             flying=tuple([peer.packet for peer in present.values() if peer.packet.phase in COOPERATING]),
             duplicate_id_s=table.duplicate_id_s,
-            leaders=[peer for peer in fresh.values() if peer.packet.role is LEADER],
             lost=table.lost(now_s) if len(present) < len(table.known) else (),
             in_doubt=table.in_doubt(now_s) if len(present) < len(table.known) else (),
             refused=table.refused(now_s) if table.disbelief.sums else (),

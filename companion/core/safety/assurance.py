@@ -93,18 +93,20 @@ class CommandMonitor:
             (px, py, pz), (wx, wy, wz) = motion.position_enu_m, motion.velocity_enu_m_s
             ax, ay, az = motion.acceleration_enu_m_s2
             ahead_s = age_s + RESPONDS_S
-            dx, dy, dz = x - px - wx * age_s, y - py - wy * age_s, (z - pz - wz * age_s) * HEIGHT_WEIGHT
             rx, ry, rz = vx - wx - ax * ahead_s, vy - wy - ay * ahead_s, (vz - wz - az * ahead_s) * HEIGHT_WEIGHT
+            speed_m2_s2 = rx * rx + ry * ry + rz * rz
+            if speed_m2_s2 <= STANDS_M_S * STANDS_M_S:  # noise
+                continue
+            dx, dy, dz = x - px - wx * age_s, y - py - wy * age_s, (z - pz - wz * age_s) * HEIGHT_WEIGHT
             nears = -(dx * rx + dy * ry + dz * rz)
             if nears <= 0.0:  # they part
                 continue
-            speed_m_s = sqrt(rx * rx + ry * ry + rz * rz)
-            if speed_m_s > STANDS_M_S:
-                way_m, stop_m = nears / speed_m_s, speed_m_s * RESPONDS_S + speed_m_s * speed_m_s / (2.0 * both_m_s2)
-                share = (way_m if way_m < stop_m else stop_m) / speed_m_s  # to where they pass each other, or stand
-                dx, dy, dz = dx + rx * share, dy + ry * share, dz + rz * share
-                if dx * dx + dy * dy + dz * dz < least_m2:
-                    return True
+            speed_m_s = sqrt(speed_m2_s2)
+            way_m, stop_m = nears / speed_m_s, speed_m_s * RESPONDS_S + speed_m2_s2 / (2.0 * both_m_s2)
+            share = (way_m if way_m < stop_m else stop_m) / speed_m_s  # to where they pass each other, or stand
+            dx, dy, dz = dx + rx * share, dy + ry * share, dz + rz * share
+            if dx * dx + dy * dy + dz * dz < least_m2:
+                return True
         return False
 
     def _leaves(self, place: Vector3, velocity: Vector3) -> bool:
