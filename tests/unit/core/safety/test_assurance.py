@@ -262,10 +262,11 @@ def test_vehicles_that_pass_each_other_are_judged_where_they_are_nearest() -> No
         assert braked(ZERO3, own, peer((2.0, 0.0, 10.0 - 2.0 * aside_m), ZERO3), monitor()) is brakes
 
 
-def test_one_that_parts_or_does_not_cooperate_hides_none_that_comes() -> None:
+def test_one_that_parts_flies_abreast_or_does_not_cooperate_hides_none_that_comes() -> None:
     own = vehicle((4.0, 0.0, 0.0))
     behind, held = peer((-1.0, 0.0, 10.0), ZERO3), peer((2.0, 0.0, 10.0), ZERO3, FlightPhase.HOLD)
-    near = {3: behind, 4: held, 5: peer((2.0, 0.0, 10.0), ZERO3)}
+    abreast = peer((0.0, 1.0, 10.0), (4.0, 0.0, 0.0))
+    near = {2: abreast, 3: behind, 4: held, 5: peer((2.0, 0.0, 10.0), ZERO3)}
     at = monitor()
     assert [at.acceleration(NOW_S, own, near, ZERO3) is ZERO3 for _ in range(4)] == [True, True, False, False]
 
