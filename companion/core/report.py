@@ -90,11 +90,11 @@ class ReportStage:
         """A packet every tick, a status ten times a second and at once with an event."""
         now_s, separation = decided.now_s, decided.setpoint.separation
         events = decided.intake.events + decided.fitness.events + decided.consensus.events
-        events += decided.flight.events + decided.guidance.events + decided.safety.events
-        # The last one stays in the status: the autopilot's words name the cause of a flag.
-        events += decided.perception.events
         if separation.changed_m_s2 > 0.0:
             events += self._interventions.step(now_s, separation)
+        events += decided.flight.events + decided.guidance.events + decided.safety.events
+        # The last one stays in the status: why a phase ended, a flag, or the autopilot's words, which name the cause of a flag.
+        events += decided.perception.events
         if events:
             self._last_event = events[-1]
         status = None

@@ -108,6 +108,15 @@ def test_a_peer_that_stays_too_near_is_reported_once() -> None:
     assert near.events[2].text == "no evasion shakes off another vehicle: 1"
 
 
+def test_why_a_phase_ends_stays_in_the_status_although_the_filter_intervenes_in_the_same_tick() -> None:
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
+    after(flight, 1.0)
+    flight.peer_position = TOO_NEAR
+    ends = flight.tick(CommandName.HOLD)
+    assert codes_of(ends.events) == [Code.SEPARATION_INTERVENES, Code.PHASE_CHANGED]
+    assert ends.status is not None and ends.status.last_event == ends.events[-1]
+
+
 def test_a_peer_that_comes_too_near_again_is_reported_again() -> None:
     flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     after(flight, 1.0)
