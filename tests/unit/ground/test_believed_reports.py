@@ -92,6 +92,15 @@ def test_a_leader_alone_in_formation_has_the_time_of_the_fleet() -> None:
     assert fleet_time_s([waiting, waiting]) == 0.0
 
 
+def test_while_none_is_in_formation_the_latest_time_is_in_time_for_all() -> None:
+    """Each vehicle has stopped at another time: one flew on without its leader, one has started again."""
+    stopped = [with_fields(in_formation(2), phase=FlightPhase.HOLD, reference_s=t) for t in (4.7, 4.6, 0.0)]
+    flew_on = with_fields(in_formation(2), phase=FlightPhase.HOLD, reference_s=10.6)
+    assert fleet_time_s([*stopped, flew_on]) == 10.6
+    senseless = with_fields(in_formation(2), phase=FlightPhase.HOLD, reference_s=55.0)
+    assert fleet_time_s([*stopped, senseless]) == 4.7
+
+
 FENCE = ((-50.0, -50.0, -2.0), (50.0, 50.0, 20.0))
 FAR = (5000.0, 0.0, 2.5)  # beyond the fence of 100 m, and nearer than what a packet may have
 
