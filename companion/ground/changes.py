@@ -283,7 +283,7 @@ AHEAD_S = 1.0  # seconds from a command to its beginning: every vehicle has rece
 
 
 TIMES_AGREE_S = 5.0  # vehicles in formation differ by the way of the leader's beacon
-TIMES_STAND_S = 50.0  # so far ahead a vehicle accepts a change, with room for AHEAD_S
+STOPPED_APART_S = 50.0  # a vehicle accepts a change that begins up to a minute after its own time
 
 
 def fleet_time_s(statuses: Collection[Status]) -> float:
@@ -291,12 +291,12 @@ def fleet_time_s(statuses: Collection[Status]) -> float:
 
     The largest one of those in formation, else of all. Where two agree, one that stands alone above them is not believed: no
     vehicle would accept a change that begins then. Where no two agree, it is that of a leader. While none is in formation each
-    has the time at which its own one ended, and accepts a change long after it.
+    has the time at which it left, and they agree over STOPPED_APART_S.
     """
     formed = [status for status in statuses if status.phase is FlightPhase.FORMATION]
     known = [status for status in formed or statuses if status.formation.reference_s > 0.0]
     times_s = sorted((status.formation.reference_s for status in known), reverse=True)
     led_s = [status.formation.reference_s for status in known if status.leadership.role is Role.LEADER]
-    apart_s = TIMES_AGREE_S if formed else TIMES_STAND_S
+    apart_s = TIMES_AGREE_S if formed else STOPPED_APART_S
     agreed_s = (later for later, earlier in pairwise(times_s) if later - earlier <= apart_s)
     return next(agreed_s, max(led_s or times_s, default=0.0))
