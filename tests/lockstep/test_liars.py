@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+import pytest
+
 from common import ROOT
 from companion.types.flight import FlightPhase, Role
 from lockstep_fleet import CommandedFlight
+from sitl.api import fly
 from sitl.vehicle.lies import Liars, Lie
 
 LINE = ROOT / "config" / "scenarios" / "four_in_line.yaml"
@@ -78,6 +82,20 @@ def test_what_the_leader_says_itself_counts_before_what_a_liar_passes_on_of_it()
     assert {status.phase for status in flight.newest.values()} == {FlightPhase.FORMATION}
     assert max(flight.errors_m().values()) < 0.1
     assert not [text for _, text in flight.events[said:] if "leader" in text]
+
+
+@pytest.mark.parametrize("law", ["cooperative", "serial"])
+def test_in_a_chain_a_liar_moves_nobody_between_it_and_the_leader(law: str) -> None:
+    """They give it a weight of a thousandth. Under `weighted` it draws all, the leader too: docs/security.md."""
+    from_s, most_m = 20.0, 0.3
+    lie = {"vehicle": 3, "kind": "drift", "from_s": from_s, "by_enu": [0.0, 8.0, 0.0], "over_s": 8.0}
+    sooner = {"stand_in.sensors": "ideal", "stand_in.armable_after_s": 1.0, "timeline[3].for_s": 20.0}
+    overrides = {**sooner, "reference.point_enu_m": [0.0, 0.0, 5.0], "links.lies": [lie]}
+    flight = fly(LINE, law=law, overrides=overrides)
+    lied = np.all(np.isfinite(flight.errors_m), axis=1) & (flight.time_s > from_s)
+    errors_m = dict(zip(flight.vehicles, flight.errors_m[lied].max(axis=0), strict=True))
+    assert max(errors_m[i] for i in (1, 2, 3)) < most_m
+    assert errors_m[4] > 5.0
 
 
 def test_nobody_follows_a_revoked_liar_after_a_second() -> None:
