@@ -65,9 +65,10 @@ test-virtual: .venv/test.ready
 test-real-time: .venv/test.ready
 	$(REAL_TIME_TESTS) tests/fleet tests/faults tests/protocol
 
-# The live page in Debian's Chromium. Its drawing would starve real flights beside it.
+# The live page in Debian's Chromium. Its drawing would starve real flights beside it, so the one of a real fleet is shown alone.
+WITH_REAL_FLEET = tests/page/test_real_fleet.py
 test-page: page-needs .venv/test.ready
-	$(BIN)/pytest -q -n 2 tests/page
+	@$(BIN)/pytest -q $(WITH_REAL_FLEET); ended=$$?; $(BIN)/pytest -q -n 2 --ignore $(WITH_REAL_FLEET) tests/page && exit $$ended
 
 export CHROMIUM ?= /usr/bin/chromium
 page-needs:

@@ -33,5 +33,5 @@ def test_without_chromium_the_command_that_installs_it_is_named_and_nothing_is_t
 def test_the_part_that_is_left_out_is_named_in_the_last_line() -> None:
     planned = make("-n", "-o", ".venv/test.ready", "test", "SKIP_PAGE=1", "CHROMIUM=/nowhere/chromium").stdout
     assert "tests/lockstep" in planned
-    assert "pytest -q -n 2 --dist loadfile tests/page" not in planned
+    assert "pytest -q tests/page/" not in planned
     assert planned.splitlines()[-1] == "SKIPPED: the live page, tests/page (SKIP_PAGE=1)"
