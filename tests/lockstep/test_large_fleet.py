@@ -120,6 +120,7 @@ def test_a_lost_leader_is_replaced_as_quickly_and_all_are_received_at_50_hz_mean
     assert all(flight.newest[i].phase is P.FORMATION for i in IDS[1:])
 
 
+@pytest.mark.long
 def test_packets_that_are_lost_make_no_vehicle_absent() -> None:
     flight = LargeFleet(EDGES, 1, "links.peer_loss=0.1", "links.peer_delay_s=0.05", "links.peer_jitter_s=0.1")
     flight.go_on(30.0)

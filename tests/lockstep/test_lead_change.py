@@ -147,6 +147,7 @@ def tracked(law: str) -> Tracking:
     return tracking(flight.tracks, flight.watch.slots(), reference, flight.formation, flight.watch.leads())
 
 
+@pytest.mark.long
 def test_the_leader_changes_with_noise_and_a_lossy_network() -> None:
     soon = [f"timeline[{step}].for_s=8" for step in range(3, 9)]
     bad_links = ("links.peer_loss=0.2", "links.peer_delay_s=0.05")

@@ -56,7 +56,7 @@ def are_equal(one: Flown, other: Flown) -> bool:
 # ---------------------------------------------------------------- the same again
 
 
-@pytest.mark.parametrize("overrides", [(SHORT,), (SHORT, NOISY, *BAD_NETWORK)])
+@pytest.mark.parametrize("overrides", [pytest.param((SHORT,), marks=pytest.mark.long), (SHORT, NOISY, *BAD_NETWORK)])
 def test_two_flights_of_one_scenario_are_identical(overrides: tuple[str, ...]) -> None:
     first, second = flown(*overrides), fly(*overrides)
     assert are_equal(first, second)

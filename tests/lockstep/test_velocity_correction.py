@@ -39,6 +39,7 @@ def test_without_the_correction_they_rest_centimetres_away() -> None:
     assert resting_error_m(0.0) > 0.03
 
 
-@pytest.mark.parametrize("bandwidth_1_s", [1.0, pytest.param(3.0, marks=pytest.mark.long)])
+@pytest.mark.parametrize("bandwidth_1_s", [1.0, 3.0])
+@pytest.mark.long
 def test_the_bandwidth_may_be_chosen(bandwidth_1_s: float) -> None:
     assert resting_error_m(bandwidth_1_s) < 0.02
