@@ -114,9 +114,9 @@ class SafetyFilter:
         motions, separation = self._motions, self._separation
         ahead = motions.own(now_s, vehicle, flown_enu_m_s2)
         if len(fresh) < len(peers) or self._behind_split:
-            self._behind_split = self._split.step(now_s, vehicle, slot, peers, fresh)
+            self._behind_split = self._split.step(now_s, vehicle, ahead, slot, peers, fresh)
             if self._behind_split and slot is not None:
-                wanted_enu_m_s2 = self._split.acceleration(now_s, vehicle)
+                wanted_enu_m_s2 = self._split.acceleration(now_s, ahead)
         others = motions.peers(now_s, vehicle, slot is not None, peers, fresh, self._behind_split)
         if self.traffic:
             others += traffic_nearby(now_s, vehicle, self.traffic)

@@ -14,7 +14,7 @@ from math import dist, hypot, inf
 
 from companion.core.consensus.law import feedback
 from companion.core.consensus.peers import PeerState
-from companion.core.filter.motion import Motion, braking
+from companion.core.filter.motion import Ahead, Motion, braking
 from companion.geometry.vectors import minus
 from companion.types.autopilot import VehicleState
 from companion.types.flight import FlightPhase
@@ -48,6 +48,7 @@ class Split:
         self,
         now_s: float,
         vehicle: VehicleState,
+        ahead: Ahead,
         slot: FlownSlot | None,
         peers: Mapping[int, PeerState],
         fresh: Mapping[int, PeerState],
@@ -60,7 +61,7 @@ class Split:
                 self._in_shape = ids
                 return frozenset()
             self._since_s = now_s
-            self._from = (vehicle.position_enu_m, vehicle.velocity_enu_m_s, ZERO3)
+            self._from = (ahead.position_enu_m, ahead.velocity_enu_m_s, ZERO3)
         self._ids, self._in_shape = ids, frozenset()
         return ids
 
@@ -84,17 +85,15 @@ class Split:
         wide_m = WIDE_RATIO * self._separation_m + WIDE_M + WIDE_S * hypot(*vehicle.velocity_enu_m_s)
         return any(dist(peer.position_at(now_s), vehicle.position_enu_m) < wide_m for peer in silent)
 
-    def acceleration(self, now_s: float, vehicle: VehicleState) -> Vector3:
-        """Along the straight line to where it stops, then back to that place; m/s^2 in ENU."""
+    def acceleration(self, now_s: float, ahead: Ahead) -> Vector3:
+        """Along the straight line to where it stops, then back to that place; m/s^2 in ENU.
+
+        Of the state that the attitude lag leads to: a vehicle that brakes already would turn back at half a metre a second.
+        """
         there, moving, slowing = braking(self._from, now_s - self._since_s, 0.0, self._braking_m_s2)
-        (x, y, z), (px, py, pz), (vx, vy, vz), (wx, wy, wz) = (
-            vehicle.position_enu_m,
-            there,
-            vehicle.velocity_enu_m_s,
-            moving,
-        )
+        (x, y, z), (vx, vy, vz) = ahead.position_enu_m, ahead.velocity_enu_m_s
+        (px, py, pz), (wx, wy, wz), (sx, sy, sz) = there, moving, slowing
         ax, ay, az = feedback(self._gains, (x - px, y - py, z - pz), (vx - wx, vy - wy, vz - wz))
-        sx, sy, sz = slowing
         return (ax + sx, ay + sy, az + sz)
 
 

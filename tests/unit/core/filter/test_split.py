@@ -8,6 +8,7 @@ from msgspec.structs import replace
 from common import NOW_S, peer
 from companion.assembly import safety_filter_of
 from companion.core.consensus.peers import PeerState
+from companion.core.filter.motion import Ahead
 from companion.core.filter.split import Split
 from companion.core.filter.vehicles import ALONE_SHARE
 from companion.types.autopilot import VehicleState
@@ -30,13 +31,18 @@ def silent(vehicle_id: int, for_s: float, **changes: object) -> PeerState:
     return PeerState(peer(vehicle_id, **changes).packet, heard_s, heard_s, heard_s)  # type: ignore[arg-type]
 
 
+def ahead(vehicle: VehicleState) -> Ahead:
+    """Without acceleration and lag."""
+    return Ahead(vehicle.position_enu_m, vehicle.velocity_enu_m_s)
+
+
 def split(separation_m: float = 0.5) -> Split:
     return Split(FRESH_S, separation_m, BRAKING_M_S2, Gains(2.0, 2.4))
 
 
 def behind(*peers: PeerState, slot: FlownSlot | None = CHANGES) -> frozenset[int]:
     """The vehicles that a new `Split` finds behind the split; `peers` are those that are silent."""
-    return split().step(NOW_S, EAST, slot, {one.packet.sender.vehicle_id: one for one in peers}, {})
+    return split().step(NOW_S, EAST, ahead(EAST), slot, {one.packet.sender.vehicle_id: one for one in peers}, {})
 
 
 def test_vehicles_that_fall_silent_at_once_are_behind_a_split() -> None:
@@ -74,10 +80,12 @@ def test_a_formation_that_keeps_its_shape_flies_on() -> None:
     both = (silent(1, 0.35), silent(3, 0.35))
     assert behind(*both, slot=IN_PLACE) == frozenset()
     kept, peers = split(), {one.packet.sender.vehicle_id: one for one in both}
-    assert not kept.step(NOW_S, EAST, IN_PLACE, peers, {})
+    assert not kept.step(NOW_S, EAST, ahead(EAST), IN_PLACE, peers, {})
     x, y, z = OWN
     gone_on = replace(EAST, position_enu_m=(x + 3.0, y, z))
-    assert not kept.step(NOW_S + 1.0, gone_on, IN_PLACE, peers, {})  # it has left the silent ones behind
+    assert not kept.step(
+        NOW_S + 1.0, gone_on, ahead(gone_on), IN_PLACE, peers, {}
+    )  # it has left the silent ones behind
 
 
 @pytest.mark.parametrize(("separation_m", "speed_m_s", "wide_m"), [(1.0, 0.0, 1.7), (0.4, 0.0, 0.8), (1.0, 2.0, 2.5)])
@@ -95,7 +103,7 @@ def test_a_vehicle_flies_on_only_far_from_what_is_silent(separation_m: float, sp
             for i, slot, north_m in placed
         }
         own_slot = replace(IN_PLACE, position_enu_m=(-1.5, 0.0, 0.0))
-        assert split(separation_m).step(NOW_S, moving, own_slot, near, {}) == found
+        assert split(separation_m).step(NOW_S, moving, ahead(moving), own_slot, near, {}) == found
 
 
 @pytest.mark.parametrize(
@@ -117,27 +125,27 @@ def test_where_slots_move_or_vehicles_are_not_placed_the_split_counts(
 def test_a_split_lasts_until_all_are_heard_again() -> None:
     of_both = split()
     silent_ones = {1: silent(1, 0.35), 3: silent(3, 0.35)}
-    assert of_both.step(NOW_S, EAST, CHANGES, silent_ones, {}) == {1, 3}
+    assert of_both.step(NOW_S, EAST, ahead(EAST), CHANGES, silent_ones, {}) == {1, 3}
     heard = silent_ones | {1: peer(1)}
-    assert of_both.step(NOW_S, EAST, CHANGES, heard, {1: heard[1]}) == {3}
+    assert of_both.step(NOW_S, EAST, ahead(EAST), CHANGES, heard, {1: heard[1]}) == {3}
     heard |= {3: peer(3)}
-    assert of_both.step(NOW_S, EAST, CHANGES, heard, heard) == frozenset()
+    assert of_both.step(NOW_S, EAST, ahead(EAST), CHANGES, heard, heard) == frozenset()
 
 
 def test_nobody_waits_longer_than_thirty_seconds() -> None:
     of_both = split()
     silent_ones = {1: silent(1, 0.35), 3: silent(3, 0.35)}
     for after_s, found in ((0.0, {1, 3}), (29.6, {1, 3}), (29.7, set())):
-        assert of_both.step(NOW_S + after_s, EAST, CHANGES, silent_ones, {}) == found
+        assert of_both.step(NOW_S + after_s, EAST, ahead(EAST), CHANGES, silent_ones, {}) == found
 
 
 def test_a_split_goes_on_after_the_slots_have_moved_and_the_way_of_braking_stays_the_same() -> None:
     of_both, silent_ones = split(), {1: silent(1, 0.35), 3: silent(3, 0.35)}
-    assert of_both.step(NOW_S, EAST, CHANGES, silent_ones, {}) == {1, 3}
+    assert of_both.step(NOW_S, EAST, ahead(EAST), CHANGES, silent_ones, {}) == {1, 3}
     x, y, z = OWN
     later = VehicleState(position_enu_m=(x + 0.16, y, z), velocity_enu_m_s=(0.6, 0.0, 0.0))
-    assert of_both.step(NOW_S + 0.2, later, IN_PLACE, silent_ones, {}) == {1, 3}
-    assert of_both.acceleration(NOW_S + 0.2, later) == pytest.approx((-BRAKING_M_S2, 0.0, 0.0), abs=1e-9)
+    assert of_both.step(NOW_S + 0.2, later, ahead(later), IN_PLACE, silent_ones, {}) == {1, 3}
+    assert of_both.acceleration(NOW_S + 0.2, ahead(later)) == pytest.approx((-BRAKING_M_S2, 0.0, 0.0), abs=1e-9)
 
 
 def test_a_vehicle_half_a_metre_off_its_slot_is_in_place() -> None:
@@ -152,24 +160,34 @@ def test_the_vehicle_brakes_on_a_straight_line(after_s: float) -> None:
     """From 1 m/s with 2 m/s^2: 0.25 m in half a second."""
     waiting, way = split(), (0.6, -0.48, 0.64)
     moving = replace(EAST, velocity_enu_m_s=way)
-    assert waiting.step(NOW_S, moving, CHANGES, {1: silent(1, 0.35), 3: silent(3, 0.35)}, {})
+    assert waiting.step(NOW_S, moving, ahead(moving), CHANGES, {1: silent(1, 0.35), 3: silent(3, 0.35)}, {})
     left_m_s = 1.0 - BRAKING_M_S2 * after_s
     gone_m = after_s * (1.0 + left_m_s) / 2.0
     x, y, z = (p + gone_m * w for p, w in zip(OWN, way, strict=True))
     vx, vy, vz = (left_m_s * w for w in way)
     on_time = VehicleState(position_enu_m=(x, y, z), velocity_enu_m_s=(vx, vy, vz))
     expected = tuple(-BRAKING_M_S2 * w for w in way)
-    assert waiting.acceleration(NOW_S + after_s, on_time) == pytest.approx(expected, abs=1e-9)
+    assert waiting.acceleration(NOW_S + after_s, ahead(on_time)) == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_vehicle_that_its_attitude_already_brakes_does_not_fly_back() -> None:
+    """It still moves at 1 m/s and tilts against it: its lag ends at rest a decimetre on."""
+    x, y, z = OWN
+    comes_to_rest, waiting = Ahead((x + 0.1, y, z), ZERO3), split()
+    assert waiting.step(NOW_S, EAST, comes_to_rest, CHANGES, {1: silent(1, 0.35), 3: silent(3, 0.35)}, {})
+    assert waiting.acceleration(NOW_S, comes_to_rest) == ZERO3
+    flies_back = Ahead((x + 0.1, y, z), (-0.4, 0.0, 0.0))
+    assert waiting.acceleration(NOW_S + 0.2, flies_back)[0] > 0.5
 
 
 def test_the_vehicle_stays_where_it_has_stopped() -> None:
     waiting = split()
-    assert waiting.step(NOW_S, EAST, CHANGES, {1: silent(1, 0.35), 3: silent(3, 0.35)}, {})
+    assert waiting.step(NOW_S, EAST, ahead(EAST), CHANGES, {1: silent(1, 0.35), 3: silent(3, 0.35)}, {})
     x, y, z = OWN
     at_rest = VehicleState(position_enu_m=(x + 0.25, y, z))
-    assert waiting.acceleration(NOW_S + 5.0, at_rest) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    assert waiting.acceleration(NOW_S + 5.0, ahead(at_rest)) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
     pushed = VehicleState(position_enu_m=(x + 0.25, y + 0.5, z))
-    assert waiting.acceleration(NOW_S + 5.0, pushed)[1] < 0.0
+    assert waiting.acceleration(NOW_S + 5.0, ahead(pushed))[1] < 0.0
 
 
 def test_the_slot_of_a_vehicle_that_its_autopilot_flies_does_not_count() -> None:
