@@ -229,8 +229,9 @@ class Motions:
         # A vehicle that is leaving formation, in hold, landing or under a pilot: no command says what it flies next.
         self._on_its_own = Silence(-inf, 0.0, KEPT_S, AUTOPILOT_BRAKES_M_S2, silence.most_m_s, lands=False)
         self._piloted = replace(self._on_its_own, leaps_m=PILOT_LEAPS_M)
-        # Behind a split network, where it brakes as soon as it knows.
-        self._waiting = replace(silence, kept_s=silence.begins_s + KNOWS_S, coasts=False, lands=False)
+        # Behind a split network, where it brakes as soon as it knows: as this one does, and not before.
+        known_s = silence.begins_s
+        self._waiting = replace(silence, brakes_s=known_s, kept_s=known_s + KNOWS_S, coasts=False, lands=False)
         # Of one whose positions and velocities contradict each other only the position is used.
         self._in_doubt = replace(silence, begins_s=-inf, lands=False)
         self._own_enu_m_s2 = ZERO3

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from common import NOW_S, peer
 from companion.assembly import safety_filter_of
 from companion.core.consensus.peers import PeerState
-from companion.core.filter.motion import Ahead
+from companion.core.filter.motion import KEPT_S, Ahead, Motions, Silence
 from companion.core.filter.split import Split
 from companion.core.filter.vehicles import ALONE_SHARE
 from companion.types.autopilot import VehicleState
@@ -225,3 +225,12 @@ def test_the_filter_expects_no_vehicle_behind_a_split_to_fly_on() -> None:
         assert found.nearest is not None and found.nearest.name == "1"
         required_m.append(found.nearest.required_m)
     assert required_m[1] > required_m[0] + 0.3
+
+
+def test_a_vehicle_behind_a_split_brakes_when_it_knows_and_not_before() -> None:
+    """It flies on until it misses the others as they miss it, 0.2 s longer at most."""
+    motions = Motions(2, Silence(FRESH_S, 0.0, KEPT_S, BRAKING_M_S2))
+    for behind_split, brakes_s, kept_s in ((frozenset({1}), FRESH_S, FRESH_S + 0.2), (frozenset[int](), 0.0, KEPT_S)):
+        (other,) = motions.peers(NOW_S, EAST, True, {1: silent(1, 0.35)}, {}, behind_split)
+        assert other.silence is not None
+        assert (other.silence.brakes_s, other.silence.kept_s) == (brakes_s, kept_s)
