@@ -83,9 +83,8 @@ def test_a_formation_that_keeps_its_shape_flies_on() -> None:
     assert not kept.step(NOW_S, EAST, ahead(EAST), IN_PLACE, peers, {})
     x, y, z = OWN
     gone_on = replace(EAST, position_enu_m=(x + 3.0, y, z))
-    assert not kept.step(
-        NOW_S + 1.0, gone_on, ahead(gone_on), IN_PLACE, peers, {}
-    )  # it has left the silent ones behind
+    # It has left the silent ones behind.
+    assert not kept.step(NOW_S + 1.0, gone_on, ahead(gone_on), IN_PLACE, peers, {})
 
 
 @pytest.mark.parametrize(("separation_m", "speed_m_s", "wide_m"), [(1.0, 0.0, 1.7), (0.4, 0.0, 0.8), (1.0, 2.0, 2.5)])
