@@ -45,9 +45,8 @@ IDS = (1, 2, 3, 4)
 LEADER, FOLLOWERS = 1, (2, 3, 4)
 SEPARATION_M = 1.0
 TOUCHING_M = 0.5  # where states arrive late, and vehicles stop one after another in their autopilots' own hold
-# The output limit of 120 deg/s: 2.4 degrees in roll and in pitch are 3.4 in a tick. A tick that is late has more, and the tap
-# knows the setpoints by their times of arrival.
-STEP_DEG = 4.5
+# The output limit of 120 deg/s: 2.4 degrees in roll and in pitch are 3.4 in a tick; the time of a setpoint is in whole ms.
+STEP_DEG = 3.8
 CONVERGED_M = 0.3
 FAULT_AT_S = 28.0  # of stand-ins and cameras, for faults in their files; the fleet is in formation then
 LOST_S = 0.7  # leader_beacon_max_age_s, one turn of a successor, and the way through three relays
@@ -204,9 +203,9 @@ class FaultyFleet:
         steps = [0.0]
         for tap in self.taps.values():
             for a, b in pairwise(tap.setpoints_since(self.since.monotonic_s - 0.05)):
-                apart_s = b.at_s - a.at_s
+                apart_s = b.decided_s - a.decided_s
                 if apart_s < LONGEST_STREAM_GAP_S:
-                    steps.append(_angle_deg(a, b) * min(1.0, TICK_S / apart_s))
+                    steps.append(_angle_deg(a, b) * TICK_S / max(apart_s, TICK_S))
         return max(steps)
 
     def tracks(self) -> Tracks:
@@ -227,7 +226,9 @@ class FaultyFleet:
     def largest_error_m(self, last_s: float) -> float:
         """Largest true error of a follower's place beside the leader in the last seconds."""
         tracks = self.tracks()
-        end = max(max(track) for track in tracks.values())
+        end = min(
+            max(track) for track in tracks.values()
+        )  # each file is behind by what its stand-in has not written yet
         newest = {
             i: {at: where for at, where in track.items() if at > end - last_s / TICK_S} for i, track in tracks.items()
         }

@@ -155,9 +155,10 @@ LEVEL_WITHIN = 1e-6  # components of a quaternion
 
 @dataclass(frozen=True)
 class Setpoint:
-    """One SET_ATTITUDE_TARGET."""
+    """One SET_ATTITUDE_TARGET: received `at_s`, and decided `decided_s` by the agent's clock."""
 
     at_s: float
+    decided_s: float
     is_level: bool
     thrust_norm: float
     attitude: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)  # quaternion, w first
@@ -229,7 +230,8 @@ class WireTap(Background):
         for message in self._up.decode(data):
             if message.get_type() == "SET_ATTITUDE_TARGET":
                 is_level = max(abs(message.q[1]), abs(message.q[2])) < LEVEL_WITHIN
-                self.setpoints.append(Setpoint(now_s, is_level, message.thrust, tuple(message.q)))
+                decided_s = message.time_boot_ms / 1000.0
+                self.setpoints.append(Setpoint(now_s, decided_s, is_level, message.thrust, tuple(message.q)))
             elif message.get_type() == "COMMAND_LONG" and message.command not in (
                 mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
                 mavlink.MAV_CMD_REQUEST_MESSAGE,
