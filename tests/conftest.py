@@ -1,5 +1,6 @@
 """For every test: programs that can be interrupted, one thread for linear algebra, and the mark of real-time tests."""
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -34,6 +35,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if item.path.relative_to(here).parts[0] in REAL_TIME:
             item.add_marker("real_time")
     _begin_with_the_longest(items)
+
+
+def pytest_collection_finish() -> None:
+    """As agents and stand-ins do before they fly.
+
+    A full collection of all that pytest holds takes 70 ms. No packet passes a tap meanwhile, and all vehicles of a fleet send
+    their last setpoints before a silence.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 # Of the files with one or two vehicles. Begun last, it keeps one worker when the others have ended.

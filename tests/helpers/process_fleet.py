@@ -54,6 +54,7 @@ UNDISTURBED = Links(peer_transport="udp", peer_delay_s=0.002)  # not the default
 AGENTS_PORTS = 12_000  # away from the stand-ins' ports, where the taps listen
 TICK_S = 0.02
 LONGEST_STREAM_GAP_S = 0.1  # setpoints further apart are not of one stream
+WRITTEN_WITHIN_S = 2.0  # true states: stand-ins write theirs once a second
 RADIUS_M, PERIOD_S = 6.0, 30.0
 SPEED_M_S = 2.0 * pi * RADIUS_M / PERIOD_S  # of the reference
 OVERRIDES = (
@@ -204,7 +205,7 @@ class FaultyFleet:
         for tap in self.taps.values():
             for a, b in pairwise(tap.setpoints_since(self.since.monotonic_s - 0.05)):
                 apart_s = b.decided_s - a.decided_s
-                if apart_s < LONGEST_STREAM_GAP_S:
+                if b.at_s - a.at_s < LONGEST_STREAM_GAP_S:
                     steps.append(_angle_deg(a, b) * TICK_S / max(apart_s, TICK_S))
         return max(steps)
 
@@ -226,9 +227,10 @@ class FaultyFleet:
     def largest_error_m(self, last_s: float) -> float:
         """Largest true error of a follower's place beside the leader in the last seconds."""
         tracks = self.tracks()
-        end = min(
-            max(track) for track in tracks.values()
-        )  # each file is behind by what its stand-in has not written yet
+        # Each file is behind by what its stand-in has not written yet; one that ends earlier is of a vehicle that ended.
+        ends = [max(track) for track in tracks.values()]
+        end = min(ends)
+        assert max(ends) - end < WRITTEN_WITHIN_S / TICK_S, "too little truth"
         newest = {
             i: {at: where for at, where in track.items() if at > end - last_s / TICK_S} for i, track in tracks.items()
         }

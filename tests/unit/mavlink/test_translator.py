@@ -206,6 +206,7 @@ def test_attitude_target_is_encoded_in_ned() -> None:
     )
     assert message.get_type() == "SET_ATTITUDE_TARGET"  # type: ignore[attr-defined]
     assert (message.target_system, message.target_component, message.type_mask) == (3, 1, 7)  # type: ignore[attr-defined]
+    assert message.time_boot_ms == 12_500  # type: ignore[attr-defined]
     assert message.thrust == pytest.approx(0.6)  # type: ignore[attr-defined]
     # ENU yaw of 90 degrees is north: no yaw is left in NED; nose down is a negative pitch there.
     expected = (cos(0.05) * cos(-0.1), sin(0.05) * cos(-0.1), cos(0.05) * sin(-0.1), -sin(0.05) * sin(-0.1))
