@@ -75,8 +75,16 @@ def test_four_exchange_slots_crosswise(tmp_path: Path, law: str, autopilot: str,
     assert fleet.smallest_m() >= share * SEPARATION_M
 
 
-@pytest.mark.parametrize("law", ["cooperative", "weighted"])
-@pytest.mark.parametrize("slots", [PAIR, RING], ids=["pair", "ring"])
+@pytest.mark.parametrize(
+    ("law", "slots"),
+    [
+        ("cooperative", PAIR),
+        ("weighted", PAIR),
+        ("cooperative", RING),
+        pytest.param("weighted", RING, marks=pytest.mark.long),
+    ],
+    ids=["cooperative-pair", "weighted-pair", "cooperative-ring", "weighted-ring"],
+)
 def test_slots_are_exchanged_with_the_opposite_vehicle(tmp_path: Path, law: str, slots: dict[int, Vector3]) -> None:
     fleet = fleet_of(tmp_path, slots, slots, law)
     took = exchange(fleet, slots)

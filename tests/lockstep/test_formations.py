@@ -1,4 +1,4 @@
-"""Eight agents through the shapes of config/scenarios/formations.yaml, on a moving reference."""
+"""Eight agents through the shapes of config/scenarios/formations.yaml, on a moving reference: `make test-long`."""
 
 from functools import cache
 from itertools import combinations
@@ -14,6 +14,7 @@ from sitl.report.progress import FlightProgress
 
 SCENARIO = ROOT / "config" / "scenarios" / "formations.yaml"
 IDEAL = "stand_in.sensors=ideal"
+pytestmark = pytest.mark.long
 
 
 @cache
@@ -54,13 +55,12 @@ def test_vehicles_keep_the_distances_of_their_slots() -> None:
     assert smallest_m(flight.tracks(), times_s) > desired_m - 0.1
 
 
-@pytest.mark.long
 def test_vehicles_keep_the_separation_with_noise() -> None:
     flight = flown()
     assert smallest_m(flight.tracks(), steady_times_s(flight)) > 1.0
 
 
-@pytest.mark.parametrize(("overrides", "most_m"), [((IDEAL,), 0.3), pytest.param((), 0.5, marks=pytest.mark.long)])
+@pytest.mark.parametrize(("overrides", "most_m"), [((IDEAL,), 0.3), ((), 0.5)])
 def test_vehicles_stay_near_their_moving_slots(overrides: tuple[str, ...], most_m: float) -> None:
     flight = flown(*overrides)
     assert flight.watch.formation is not None

@@ -21,7 +21,7 @@ FAST = ("reference.period_s=16", "fleet.law={name: cooperative}")
     [
         (LATE, FIGURE_8, FAST),
         pytest.param(LOSSES, FIGURE_8, FAST, marks=pytest.mark.long),
-        (LOSSES, EXCHANGE, ()),
+        pytest.param(LOSSES, EXCHANGE, (), marks=pytest.mark.long),
         pytest.param(LATE, EXCHANGE, (), marks=pytest.mark.long),
     ],
 )

@@ -49,7 +49,7 @@ def test_a_vehicle_whose_telemetry_becomes_late_sends_no_setpoint_and_leaves(
     assert any(number == 3 and "s late" in text for number, text in fleet.events)
 
 
-@pytest.mark.parametrize("percent", [-2.0, 2.0])
+@pytest.mark.parametrize("percent", [pytest.param(-2.0, marks=pytest.mark.long), 2.0])
 def test_a_clock_that_runs_slow_or_fast_is_no_delay(percent: float) -> None:
     fleet = CommandedFlight(SCENARIO, f"stand_in.clock_slow_percent={percent}")
     fleet.go_on(20.0)

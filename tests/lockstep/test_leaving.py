@@ -171,7 +171,7 @@ def test_the_column_fills_the_gap_and_the_vehicle_joins_at_its_end() -> None:
     assert fleet.smallest_m(since_s) > 1.7  # true distances, in the air and on the ground
 
 
-@pytest.mark.parametrize("overrides", [(), (KEEP_GAP,)])
+@pytest.mark.parametrize("overrides", [(), pytest.param((KEEP_GAP,), marks=pytest.mark.long)])
 def test_the_gap_is_kept_while_the_vehicle_holds_in_it(overrides: tuple[str, ...]) -> None:
     fleet = flight(*overrides)
     fleet.give(CommandName.HOLD, 3)
@@ -203,7 +203,7 @@ def test_a_leader_that_landed_restarts_the_reference_with_the_same_formation() -
     assert fleet.smallest_m(since_s) > 1.8
 
 
-@pytest.mark.parametrize("landed", [1, 2])
+@pytest.mark.parametrize("landed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_two_leaders_have_one_reference_time_after_one_landed(landed: int) -> None:
     fleet = flight(KEEP_GAP, goes_on(0.5))
     fleet.give(CommandName.LEAD, content=Lead((1, 2), 1))

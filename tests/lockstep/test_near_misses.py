@@ -72,8 +72,7 @@ def turned_on_its_neighbour(seed: int, at_s: float, north_m_s: float) -> Scenari
     ("seed", "at_s", "north_m_s"),
     [
         (97511, 10.0, -1.9),
-        (4, 10.12, -1.9),
-        (3, 11.2, -1.9),
+        *(pytest.param(*one, marks=pytest.mark.long) for one in [(4, 10.12, -1.9), (3, 11.2, -1.9)]),
         *(
             pytest.param(seed, at_s, north_m_s, marks=pytest.mark.long)
             for seed in (1, 2, 3, 4)

@@ -118,6 +118,7 @@ def test_slots_references_and_heading_have_no_step_at_leader_changes(late: tuple
             assert abs(b.acceleration_rad_s2 - a.acceleration_rad_s2) <= 1.01 * JERK_1_S * most_rad_s2 * (b_s - a_s)
 
 
+@pytest.mark.long
 def test_a_column_changes_to_a_line_while_turning_on_a_circle() -> None:
     flight = flown(COLUMN, "stand_in.sensors=ideal")
     assert max(e.max() for e in flight.errors_m().values()) < 0.4
