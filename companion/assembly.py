@@ -18,7 +18,7 @@ from companion.config.reference_check import accepted_values, most_pace, referen
 from companion.config.validation import Problem, needs, without_pauses
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
-from companion.core.autopilot import Profiles
+from companion.core.autopilot import LAG_S, Profiles
 from companion.core.command.arbitration import CommandArbitration, CommandDispatcher
 from companion.core.command.hand_over import LEVEL_BEFORE_HAND_OVER_S
 from companion.core.command.phase import PhaseMachine
@@ -33,7 +33,6 @@ from companion.core.estimation.corrections import VelocityCorrection
 from companion.core.estimation.vehicle import VehicleTracker
 from companion.core.estimation.wind import DisturbanceObserver
 from companion.core.filter.filter import Bounds, SafetyFilter, SpeedLimit
-from companion.core.filter.motion import LAG_S
 from companion.core.filter.solver import AccelerationLimits
 from companion.core.filter.vehicles import PLANNED_SHARE, SeparationSettings
 from companion.core.formation.entry import FormationEntry, Joining, LeadIn

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from companion.core.filter.motion import LAG_S
+from companion.core.autopilot import LAG_S
 from companion.types.autopilot import AutopilotKind
 
 TICK_S = 0.02

@@ -35,6 +35,10 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 
+# From a commanded to the flown acceleration: the mean delay of the attitude step response, measured with PX4 (docs/law.md).
+# The linear model of companion/analysis takes it from here.
+LAG_S = 0.2
+
 M = AutopilotMode
 TEXTS_KEPT = 3
 CLIMBED_WITHIN_M = 0.3

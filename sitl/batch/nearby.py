@@ -14,7 +14,8 @@ import numpy as np
 
 from companion.analysis.interaction import FloatArray
 from companion.assembly import separation_settings_of
-from companion.core.filter.motion import LAG_S, NEAR_M, NEAR_S
+from companion.core.autopilot import LAG_S
+from companion.core.filter.motion import NEAR_M, NEAR_S
 from companion.core.filter.vehicles import (
     BELIEVED_S,
     FASTEST_LEAVING_M_S,

@@ -35,7 +35,7 @@ from companion.types.peers import (
 from companion.types.rejections import count_rejection, rejection_key
 from companion.types.values import MAX_CHANGE_S, MAX_COORDINATE_M, MAX_MISSION_S, ZERO3, Vector3
 
-LEADER = Role.LEADER  # enum member lookup is slow, and every packet needs it
+LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # enum member lookup is slow, and every packet needs it
 MAX_ACCELERATION_M_S2 = 100.0
 MAX_ERROR_M = 10_000.0
 MAX_TURN_RAD_S, MAX_TURN_RAD_S2 = 5.0, 20.0  # several times the limits of any formation
@@ -361,6 +361,7 @@ class PeerTable:
                 measured_s,
                 motion.position_enu_m,
                 motion.velocity_enu_m_s,
+                motion.acceleration_enu_m_s2 if packet.phase is FORMATION else None,
                 most_m_s2,
             )
             contradicts = found.contradicts

@@ -13,6 +13,7 @@ from math import dist, exp, hypot, inf, sqrt
 from msgspec import Struct
 from msgspec.structs import replace
 
+from companion.core.autopilot import LAG_S
 from companion.core.consensus.peers import PeerState
 from companion.geometry.formations import HEIGHT_WEIGHT
 from companion.geometry.vectors import shortened
@@ -21,10 +22,6 @@ from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FlownSlot
 from companion.types.peers import FORGOTTEN_S, ReceivedTraffic, TrafficSample
 from companion.types.values import ZERO3, Vector3
-
-# From a commanded to the flown acceleration: the mean delay of the attitude step response, measured with PX4 (docs/law.md).
-# The linear model of companion/analysis takes it from here.
-LAG_S = 0.2
 
 
 class Ahead(Struct, frozen=True, gc=False):

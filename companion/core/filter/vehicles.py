@@ -35,7 +35,8 @@ from math import hypot, inf, sqrt
 
 from msgspec import Struct
 
-from companion.core.filter.motion import LAG_S, Ahead, Motion, Other, Silence, column_m, nearest_on_way
+from companion.core.autopilot import LAG_S
+from companion.core.filter.motion import Ahead, Motion, Other, Silence, column_m, nearest_on_way
 from companion.core.filter.solver import MARGIN, VEHICLE, Constraint
 from companion.geometry.curves import approach_speed
 from companion.types.autopilot import PositionError, VehicleState

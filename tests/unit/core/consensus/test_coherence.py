@@ -10,8 +10,10 @@ from typing import Any
 import pytest
 
 from common import AT_REST, with_fields
+from companion.core.autopilot import LAG_S
 from companion.core.consensus.coherence import Coherence, coherent
 from companion.core.consensus.peers import PeerTable
+from companion.geometry.vectors import minus
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code
@@ -25,13 +27,16 @@ SECOND = round(1.0 / TICK_S)
 
 
 def found(
-    states: Callable[[int], State], ticks: int, skipped: Callable[[int], bool] = lambda _: False
+    states: Callable[[int], State],
+    ticks: int,
+    skipped: Callable[[int], bool] = lambda _: False,
+    commanded: Callable[[int], Vector3 | None] = lambda _: None,
 ) -> list[Coherence]:
     """What is found after each state that arrives."""
     before, all_found = None, []
     for tick in range(ticks):
         if not skipped(tick):
-            before = coherent(before, tick * TICK_S, *states(tick), MOST_M_S2)
+            before = coherent(before, tick * TICK_S, *states(tick), commanded(tick), MOST_M_S2)
             all_found.append(before)
     return all_found
 
@@ -128,7 +133,56 @@ def test_noise_of_a_stock_estimator_is_far_from_doubt(seed: int) -> None:
     assert not any(result.doubt_s > 0.2 for result in found(state, 60 * SECOND))
 
 
-def table_after(states: Callable[[int], State], ticks: int) -> tuple[PeerTable, float]:
+def towards_the_centre(tick: int) -> Vector3:
+    """What `circling` takes."""
+    at = tick * TICK_S
+    return (-6.0 * cos(at), -6.0 * sin(at), 0.0)
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.3, 0.8])
+@pytest.mark.parametrize("wrong", [(0.8, 0.0, 0.0), (-0.5, 0.5, 0.5)])
+def test_who_flies_about_as_it_commands_is_never_in_doubt(lost: float, wrong: Vector3) -> None:
+    def commanded(tick: int) -> Vector3:
+        (x, y, z), (dx, dy, dz) = towards_the_centre(tick + round(LAG_S / TICK_S)), wrong
+        return (x + dx, y + dy, z + dz)
+
+    random = Random(1)
+    results = found(circling, 10 * SECOND, lambda _: random.random() < lost, commanded)
+    assert not any(result.doubt_s for result in results)
+
+
+@pytest.mark.parametrize(
+    "commanded",
+    [
+        lambda _: (3.0, 0.0, 0.0),
+        lambda _: (0.0, 0.0, -200.0),
+        lambda tick: (2.0 * 9.0 * (tick % (2 * SECOND) < SECOND) - 9.0, 0.0, 0.0),
+    ],
+)
+def test_an_acceleration_that_is_not_flown_is_found_within_two_seconds(commanded: Callable[[int], Vector3]) -> None:
+    results = found(lambda _: (ZERO3, ZERO3), 4 * SECOND, commanded=commanded)
+    assert results[2 * SECOND].contradicts
+    assert not results[SECOND // 2].contradicts
+
+
+@pytest.mark.parametrize("afterwards", [ZERO3, None])
+def test_who_flies_what_it_says_again_is_believed_after_some_seconds(afterwards: Vector3 | None) -> None:
+    def commanded(tick: int) -> Vector3 | None:
+        return (9.0, 0.0, 0.0) if tick < 2 * SECOND else afterwards
+
+    results = found(lambda _: (ZERO3, ZERO3), 8 * SECOND, commanded=commanded)
+    assert results[2 * SECOND - 1].contradicts
+    assert not results[-1].contradicts
+
+
+def test_a_mirrored_acceleration_is_found() -> None:
+    mirrored = found(circling, 3 * SECOND, commanded=lambda tick: minus(ZERO3, towards_the_centre(tick)))
+    assert mirrored[2 * SECOND].contradicts
+
+
+def table_after(
+    states: Callable[[int], State], ticks: int, commanded: Callable[[int], Vector3] = lambda _: ZERO3
+) -> tuple[PeerTable, float]:
     """A table of vehicle 1 that has received vehicle 2."""
     table = PeerTable(1, {1: True, 2: True}, 42, 0.3, LIMITS, ())
     now_s = 100.0
@@ -143,6 +197,7 @@ def table_after(states: Callable[[int], State], ticks: int) -> tuple[PeerTable, 
             sent_s=now_s,
             position_enu_m=position_enu_m,
             velocity_enu_m_s=velocity_enu_m_s,
+            acceleration_enu_m_s2=commanded(tick),
             phase=FlightPhase.FORMATION,
         )
         table.fold([ReceivedPeerPacket(now_s, packet)], 0)
@@ -161,11 +216,12 @@ def test_a_peer_in_doubt_is_known_by_its_positions_and_neither_fresh_nor_present
 
 
 def test_an_honest_peer_is_fresh_and_as_it_was_sent() -> None:
-    table, now_s = table_after(circling, SECOND)
+    table, now_s = table_after(circling, 3 * SECOND, towards_the_centre)
     fresh, present = table.in_time(now_s)
     assert fresh.keys() == present.keys() == {2}
     assert table.in_doubt(now_s) == ()
-    assert table.known[2].packet.motion.velocity_enu_m_s == circling(SECOND - 1)[1]
+    assert table.known[2].packet.motion.velocity_enu_m_s == circling(3 * SECOND - 1)[1]
+    assert table_after(circling, 3 * SECOND)[0].known[2].contradicts  # an acceleration of zero on a circle
 
 
 def received(packets: Iterable[ReceivedPeerPacket]) -> tuple[PeerTable, float]:
