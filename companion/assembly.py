@@ -22,6 +22,7 @@ from companion.core.autopilot import LAG_S, Profiles
 from companion.core.command.arbitration import CommandArbitration, CommandDispatcher
 from companion.core.command.hand_over import LEVEL_BEFORE_HAND_OVER_S
 from companion.core.command.phase import PhaseMachine
+from companion.core.consensus.coherence import UNFLOWN_S
 from companion.core.consensus.law import FlownLaw
 from companion.core.consensus.neighbours import DistantLimits, DistantPeers, EdgeRule, NeighbourRule, RangeRule
 from companion.core.consensus.peers import FleetLimits, PeerTable
@@ -416,7 +417,8 @@ def fleet_limits(fleet: FleetConfig) -> FleetLimits:
     upright_m_s2 = GRAVITY_M_S2 * max(envelope.max_thrust_ratio - 1.0, 1.0 - envelope.min_thrust_ratio)
     (x, y, z), (far_x, far_y, far_z) = _fence(fleet)
     size_m = (far_x - x, far_y - y, far_z - z)
-    return FleetLimits(fleet.peers.max_speed_m_s, hypot(level_m_s2, upright_m_s2), size_m)
+    wind_is_observed = fleet.law.disturbance_bandwidth_1_s * UNFLOWN_S >= 1.0
+    return FleetLimits(fleet.peers.max_speed_m_s, hypot(level_m_s2, upright_m_s2), size_m, wind_is_observed)
 
 
 def output_limits_of(fleet: FleetConfig) -> OutputLimits:

@@ -57,11 +57,15 @@ class KnownFleet:
 
 @dataclass(frozen=True, slots=True)
 class FleetLimits:
-    """What vehicles of this fleet can fly at most: no received value is used beyond it."""
+    """What vehicles of this fleet can fly at most: no received value is used beyond it.
+
+    `wind_is_observed`: by an observer that is fast enough, so that a vehicle flies the acceleration that it commands.
+    """
 
     speed_m_s: float
     acceleration_m_s2: float
     fence_size_m: Vector3
+    wind_is_observed: bool = True
 
 
 def refusal_of_claims(packet: PeerPacket, fleet: KnownFleet) -> Code | None:
@@ -361,7 +365,7 @@ class PeerTable:
                 measured_s,
                 motion.position_enu_m,
                 motion.velocity_enu_m_s,
-                motion.acceleration_enu_m_s2 if packet.phase is FORMATION else None,
+                motion.acceleration_enu_m_s2 if limits.wind_is_observed and packet.phase is FORMATION else None,
                 most_m_s2,
             )
             contradicts = found.contradicts

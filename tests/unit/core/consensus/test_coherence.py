@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from math import cos, hypot, nan, sin
 from random import Random
 from typing import Any
@@ -10,9 +11,12 @@ from typing import Any
 import pytest
 
 from common import AT_REST, with_fields
+from companion.assembly import fleet_limits
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
+from companion.config.law import LawSection
 from companion.core.autopilot import LAG_S
 from companion.core.consensus.coherence import Coherence, coherent
-from companion.core.consensus.peers import PeerTable
+from companion.core.consensus.peers import FleetLimits, PeerTable
 from companion.geometry.vectors import minus
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import LeaderBeacon
@@ -23,6 +27,7 @@ from stage_fleets import LIMITS, PX4_SIH, TICK_S, Drift
 
 MOST_M_S2 = 9.4  # of the default envelope
 State = tuple[Vector3, Vector3]
+ONE = (FormationMember(1, Role.LEADER, ZERO3),)
 SECOND = round(1.0 / TICK_S)
 
 
@@ -181,10 +186,13 @@ def test_a_mirrored_acceleration_is_found() -> None:
 
 
 def table_after(
-    states: Callable[[int], State], ticks: int, commanded: Callable[[int], Vector3] = lambda _: ZERO3
+    states: Callable[[int], State],
+    ticks: int,
+    commanded: Callable[[int], Vector3] = lambda _: ZERO3,
+    limits: FleetLimits = LIMITS,
 ) -> tuple[PeerTable, float]:
     """A table of vehicle 1 that has received vehicle 2."""
-    table = PeerTable(1, {1: True, 2: True}, 42, 0.3, LIMITS, ())
+    table = PeerTable(1, {1: True, 2: True}, 42, 0.3, limits, ())
     now_s = 100.0
     for tick in range(ticks):
         now_s += TICK_S
@@ -221,7 +229,18 @@ def test_an_honest_peer_is_fresh_and_as_it_was_sent() -> None:
     assert fresh.keys() == present.keys() == {2}
     assert table.in_doubt(now_s) == ()
     assert table.known[2].packet.motion.velocity_enu_m_s == circling(3 * SECOND - 1)[1]
+
+
+def test_accelerations_are_compared_where_the_wind_is_observed() -> None:
+    """Else the command alone keeps a vehicle in its place against the wind."""
     assert table_after(circling, 3 * SECOND)[0].known[2].contradicts  # an acceleration of zero on a circle
+    windward = replace(LIMITS, wind_is_observed=False)
+    assert not table_after(circling, 3 * SECOND, limits=windward)[0].known[2].contradicts
+    laws = [LawSection(disturbance_bandwidth_1_s=bandwidth) for bandwidth in (0.0, 0.9, 1.0, 4.0)]
+    fleets = [
+        FleetConfig(name="f", origin="indoor", vehicles=ONE, neighbours=EdgeNeighbours(()), law=law) for law in laws
+    ]
+    assert [fleet_limits(fleet).wind_is_observed for fleet in fleets] == [False, False, True, True]
 
 
 def received(packets: Iterable[ReceivedPeerPacket]) -> tuple[PeerTable, float]:
