@@ -252,6 +252,33 @@ def test_the_turn_gets_three_steps_between_walls_that_contradict_each_other() ->
     assert all(dist(found.acceleration_enu_m_s2, other) > 0.1 for other in (turned[0], *turned[2:]))
 
 
+@pytest.mark.parametrize(
+    ("margins_m", "steps", "turn_steps"),
+    [((0.29, 0.29, 0.29), 15, 15), ((0.29, 0.31, 0.29), 5, 3), ((0.29, 0.29), 5, 3)],
+)
+def test_between_three_vehicles_all_of_them_count(margins_m: tuple[float, ...], steps: int, turn_steps: int) -> None:
+    """The northern one of three that ask for more than can be flown; and walls on the way out."""
+    normals = [(-0.96, -0.26, -0.05), (0.5, 0.86, -0.06), (0.99, -0.13, -0.05)]
+    barriers = [
+        Barrier(
+            (*normal, least, Rank.VEHICLE),
+            Other(i, (ZERO3, ZERO3, ZERO3), ZERO3, 0.0, None, NO_ERROR, 1.0, FlownSlot(ZERO3), True, 1.0),
+            (3.0, 0.0, 0.0),
+            2.0,
+            margin_m,
+        )
+        for i, (normal, least, margin_m) in enumerate(zip(normals, (2.2, 4.0, 0.5), margins_m, strict=False), start=2)
+    ]
+    walls: list[Constraint] = [(0.0, -1.0, 0.0, -3.5, Rank.FENCE), (0.0, 0.0, -1.0, -0.5, Rank.SPEED)]
+    wish, asked = (-1.6, -4.0, 1.0), [*(barrier.constraint for barrier in barriers), *walls]
+    x, y, z = filter_acceleration(wish, asked, LIMITS, steps)
+    assert dist(filter_acceleration(wish, asked, LIMITS, 20 - steps), (x, y, z)) > 0.1
+    turn_x, turn_y = turn_right(wish, OWN.velocity_enu_m_s, GAINS, barriers)
+    turned = filter_acceleration((x + turn_x, y + turn_y, z), asked, LIMITS, turn_steps)
+    found = stage().allowed(NOW_S, OWN, barriers, walls, wish, wish, ZERO3, SeparationReport())
+    assert found.acceleration_enu_m_s2 == pytest.approx(better_kept(turned, (x, y, z), asked))
+
+
 def test_a_silent_vehicle_is_believed_to_be_no_faster_than_a_quarter_above_the_limit() -> None:
     """At the 30 m/s of its packet it could not brake any more."""
     known = {2: peer((100.0, 0.0, 20.0), (-30.0, 0.0, 0.0), FORMATION, 1.4)}
