@@ -125,7 +125,7 @@ class SetpointStage:
                 allowed_enu_m_s2 = stream.checked(now_s, vehicle, fresh, safe.acceleration_enu_m_s2)
                 attitude_target = stream.follow(now_s, vehicle, allowed_enu_m_s2)
         elif before.streams and vehicle.mode is OFFBOARD and carries(vehicle) and self._ends(now_s, flight):
-            attitude_target = stream.last_before_silence(now_s, vehicle)
+            attitude_target = stream.last_before_silence(now_s, self._leads_to_enu_m_s(now_s, vehicle))
         rft = None
         # The RFT of before may be that of a peer in doubt, and followers would confirm it to each other.
         if phase is not FORMATION or consensus.peers.in_doubt:
@@ -151,6 +151,12 @@ class SetpointStage:
     def _ends(self, now_s: float, flight: Flight) -> bool:
         """The stream ends by decision, or no new position has come for a while."""
         return not flight.streams or now_s - self._stream.sent_s >= ENDS_AFTER_S
+
+    def _leads_to_enu_m_s(self, now_s: float, vehicle: VehicleState) -> Vector3:
+        """The velocity after the attitude lag: until then an evasion goes on that has hardly begun."""
+        if now_s - vehicle.position_time_s > ENDS_WITHIN_S:
+            return vehicle.velocity_enu_m_s
+        return self._safety_filter.ahead(now_s, vehicle, self._stream.commanded_enu_m_s2).velocity_enu_m_s
 
     def _begin(self, now_s: float, vehicle: VehicleState) -> None:
         self._stream.open(now_s, vehicle)
@@ -320,16 +326,16 @@ class SetpointStream:
             return None
         return self._send(now_s, vehicle, (x + dx, y + dy, z + dz), target)
 
-    def last_before_silence(self, now_s: float, vehicle: VehicleState) -> AttitudeTarget | None:
+    def last_before_silence(self, now_s: float, moving_enu_m_s: Vector3) -> AttitudeTarget | None:
         """Braking against the wind, once in each silence: an autopilot goes on with the last setpoint for a while.
 
-        What the vehicle flew a moment ago may have been an evasion. The velocity is the last one known. After ENDS_WITHIN_S
-        none is sent: an agent that was frozen must not disturb what the autopilot does by itself.
+        What the vehicle flew a moment ago may have been an evasion. `moving_enu_m_s` is the velocity that the attitude lag
+        leads to. After ENDS_WITHIN_S none is sent: an agent that was frozen must not disturb what the autopilot does itself.
         """
         if self._ended or now_s - self.sent_s > ENDS_WITHIN_S:
             return None
         self._ended = True
-        (vx, vy, vz), (dx, dy, dz) = vehicle.velocity_enu_m_s, self.observer.disturbance_enu_m_s2
+        (vx, vy, vz), (dx, dy, dz) = moving_enu_m_s, self.observer.disturbance_enu_m_s2
         x, y, z = shortened((-vx / STOPS_IN_S, -vy / STOPS_IN_S, -vz / STOPS_IN_S), STOPS_M_S2)
         limits, hover_thrust_norm = self._limits, self.observer.hover_thrust_norm
         possible = limit_acceleration(

@@ -134,6 +134,10 @@ class SafetyFilter:
             seen = SeparationReport(nearest, 0.0, violated)
         return self.allowed(now_s, vehicle, barriers, bounds, wanted_enu_m_s2, slowed, disturbance_enu_m_s2, seen)
 
+    def ahead(self, now_s: float, vehicle: VehicleState, commanded_enu_m_s2: Vector3) -> Ahead:
+        """This vehicle ahead by its attitude lag, after this command."""
+        return self._motions.own(now_s, vehicle, commanded_enu_m_s2)
+
     @property
     def is_pressed(self) -> bool:
         """Whether another vehicle has pressed this one for a while: then a tick counts in which nothing is changed, too."""

@@ -10,10 +10,11 @@ from msgspec.structs import replace
 
 from common import slot_peer, with_fields
 from companion.assembly import safety_filter_of
+from companion.core.autopilot import LAG_S
 from companion.core.consensus.law import FlownLaw
 from companion.core.consensus.peers import PeerState
 from companion.core.consensus.stage import Consensus, LeadView, Neighbours, PeerSets
-from companion.core.control.setpoint import Setpoint, SetpointStage, SetpointStream, level_acceleration
+from companion.core.control.setpoint import STOPS_IN_S, Setpoint, SetpointStage, SetpointStream, level_acceleration
 from companion.core.estimation.wind import DisturbanceObserver
 from companion.core.formation.guidance import Guidance
 from companion.core.safety.assurance import CommandMonitor
@@ -213,9 +214,24 @@ def test_silence_begins_with_one_last_setpoint_while_the_autopilot_follows_and_i
     found = [at.tick(FORMS, SILENCE, autopilot=kind, mode=mode, roll_rad=roll_rad).target for _ in range(15)]
     sent = [target for target in found if target is not None]
     assert len(sent) == ends
-    assert all((target.roll_rad, target.pitch_rad) == (0.0, 0.0) for target in sent)  # it hovers
     if ends:
         assert found[:3] == [None, None, sent[0]]  # after 0.04 s: a position may still come
+
+
+@pytest.mark.parametrize(
+    ("age_s", "flies_on_s"), [(0.0, LAG_S), (0.05, LAG_S + 0.05), (0.19, LAG_S + 0.19), (0.21, 0.0)]
+)
+def test_the_last_setpoint_brakes_what_the_commands_before_it_still_lead_to(age_s: float, flies_on_s: float) -> None:
+    """A vehicle that had just begun to evade drifted at 0.5 m/s for a second."""
+    at = Stage(Steady(wants=(2.0, -1.0, 0.0)))
+    for _ in range(5):
+        at.settled(FORMS)
+    at.vehicle = replace(at.vehicle, velocity_enu_m_s=(0.3, 0.0, 0.0))
+    last = at.tick(Flight(phase=P.HOLD), SILENCE, position_time_s=at.now_s + TICK_S - age_s).target
+    assert last is not None
+    east_m_s2, north_m_s2 = level_acceleration(last.roll_rad, last.pitch_rad, last.yaw_rad)
+    assert east_m_s2 == pytest.approx(-(0.3 + 2.0 * flies_on_s) / STOPS_IN_S, abs=0.02)
+    assert north_m_s2 == pytest.approx(1.0 * flies_on_s / STOPS_IN_S, abs=0.02)
 
 
 @pytest.mark.parametrize("kind", list(AutopilotKind))

@@ -145,7 +145,7 @@ def test_one_setpoint_that_brakes_goes_before_each_silence_without_slewing() -> 
     sent = stream()
     sent.open(0.0, FLIES)
     followed(sent, (3.0, 0.0, 1.0))
-    last_s, slow = sent.sent_s, at_s(sent.sent_s, velocity_enu_m_s=(1.2, 0.0, 0.0))
+    last_s, slow = sent.sent_s, (1.2, 0.0, 0.0)
     last = sent.last_before_silence(last_s + 0.041, slow)
     assert last is not None
     flown = level_acceleration(last.roll_rad, last.pitch_rad, last.yaw_rad)
@@ -153,8 +153,7 @@ def test_one_setpoint_that_brakes_goes_before_each_silence_without_slewing() -> 
     assert sent.commanded_enu_m_s2 == ZERO3
     assert sent.last_before_silence(last_s + 0.06, slow) is None
     assert sent.carry_on(last_s + 0.1, at_s(last_s + 0.1, roll_rad=0.02, pitch_rad=0.0))
-    fast = at_s(last_s + 0.1, velocity_enu_m_s=(0.0, 9.0, 0.0))
-    again = sent.last_before_silence(last_s + 0.15, fast)
+    again = sent.last_before_silence(last_s + 0.15, (0.0, 9.0, 0.0))
     assert again is not None
     flown = level_acceleration(again.roll_rad, again.pitch_rad, again.yaw_rad)
     assert flown == pytest.approx((0.0, -1.5), abs=1e-6)
@@ -164,7 +163,7 @@ def test_the_last_setpoint_brakes_in_each_direction_against_the_wind() -> None:
     """It leans into the wind by what that does, and pulls less where it lifts."""
     sent = stream((0.4, -0.3, 0.2))
     sent.open(0.0, FLIES)
-    last = sent.last_before_silence(0.05, at_s(0.05, velocity_enu_m_s=(0.9, -0.6, 0.0)))
+    last = sent.last_before_silence(0.05, (0.9, -0.6, 0.0))
     assert last is not None
     lift = last.thrust_norm / HOVER
     east, north = level_acceleration(last.roll_rad, last.pitch_rad, last.yaw_rad)
@@ -176,8 +175,7 @@ def test_the_last_setpoint_carries_a_vehicle_that_climbs_or_sinks() -> None:
     sent = stream()
     sent.open(0.0, FLIES)
     followed(sent, (0.0, 0.0, 0.0))
-    sinks = at_s(sent.sent_s, velocity_enu_m_s=(0.0, 0.0, -0.75))
-    last = sent.last_before_silence(sent.sent_s + 0.05, sinks)
+    last = sent.last_before_silence(sent.sent_s + 0.05, (0.0, 0.0, -0.75))
     assert last is not None and last.thrust_norm == pytest.approx(HOVER * (1.0 + 0.5 / GRAVITY_M_S2))
 
 
@@ -186,14 +184,14 @@ def test_an_agent_that_was_frozen_sends_no_late_last_setpoint() -> None:
     sent.open(0.0, FLIES)
     followed(sent, (3.0, 0.0, 1.0))
     last_s = sent.sent_s
-    assert sent.last_before_silence(last_s + 0.21, FLIES) is None
-    assert sent.last_before_silence(last_s + 0.19, FLIES) is not None
+    assert sent.last_before_silence(last_s + 0.21, FLIES.velocity_enu_m_s) is None
+    assert sent.last_before_silence(last_s + 0.19, FLIES.velocity_enu_m_s) is not None
 
 
 def test_a_stream_that_has_sent_nothing_hovers_before_its_silence_too() -> None:
     sent = stream()
     sent.open(0.0, FLIES)
-    assert sent.last_before_silence(0.04, FLIES) == AttitudeTarget(0.0, 0.0, 0.7, HOVER)
+    assert sent.last_before_silence(0.04, FLIES.velocity_enu_m_s) == AttitudeTarget(0.0, 0.0, 0.7, HOVER)
 
 
 def test_a_setpoint_is_believed_to_be_flown_for_a_while() -> None:
