@@ -48,7 +48,7 @@ def test_a_liar_is_named_within_two_seconds_and_deposes_no_leader() -> None:
         Lie(vehicle=4, says="sequence", kind="frozen"),
         Lie(vehicle=3, says="position", kind="jump", by_enu=(0.0, 0.0, 4.0)),
         Lie(vehicle=2, says="acceleration", by_enu=(200.0, 0.0, 0.0)),
-        Lie(vehicle=3, says="acceleration", by_enu=(0.0, 3.0, 0.0)),
+        Lie(vehicle=3, says="acceleration", by_enu=(0.0, 4.5, 0.0)),
     ):
         flight.lie(lie)
         assert flight.is_named(lie.vehicle), lie
