@@ -14,7 +14,7 @@ In formation a vehicle says which acceleration it commands, and laws feed it for
 after this acceleration, with the lag of the attitude, is summed up with its direction and forgotten within UNFLOWN_S: 4.5
 m/s^2 that are not flown are off after 1.4 s, and 3 m/s^2 never.
 
-Honest vehicles stay below. A real PX4 that evaded a vehicle in hold flew 2.2 m/s less than it commanded, in gusts with the
+Honest vehicles stay below. A real PX4 that evaded a vehicle in hold flew 2.3 m/s less than it commanded, in gusts with the
 noise of a stock EKF2 or with a wrong mass it was 1.3 m/s. The velocity is off by 0.4 m/s, agents smooth the jumps of their own
 position (`estimation/corrections.py`), and steps are taken over the times of the positions, so delays and lost packets do not
 count.
