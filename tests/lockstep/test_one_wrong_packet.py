@@ -23,7 +23,8 @@ LEADER, FOLLOWER = 1, 2
 MOST_M, GONE_M, GONE_AFTER_S = 0.6, 0.05, 12.0
 SEEDS = range(2)  # `weighted` and `cooperative`, on a circle
 STREAM_S = 6.0
-CARRIED_M = 12.0  # by a stream: what the law makes of the largest acceleration that the fleet can fly; it was 99 m
+SUCCEEDED_M = 0.4  # vehicles lag behind a circling reference by other distances about another leader
+CARRIED_M = 12.0  # by a stream, most where the leader that is not believed any more is succeeded; it was 99 m
 FAR, FAST, HARD = 4.5, 25.0, 13.0  # of a jump, speed and acceleration: a little below what is refused
 
 
@@ -116,14 +117,14 @@ def carried(fleet: HostileFleet, liar: int | None, claimed_enu_m_s2: Vector3) ->
 def test_a_stream_of_claimed_accelerations_carries_no_vehicle_away(
     settled: HostileFleet, liar: int, claimed_enu_m_s2: Vector3
 ) -> None:
-    """Used as the fleet can fly at most, by which a follower of the law that feeds it forward is moved while it lasts."""
+    """Used as the fleet can fly at most, until the velocities contradict it. Such a leader is succeeded."""
     undisturbed = carried(deepcopy(settled), None, claimed_enu_m_s2)
     fleet = deepcopy(settled)
     disturbed = carried(fleet, liar, claimed_enu_m_s2)
     for i in fleet.agents:
         moved_m = [dist(a[i], b[i]) for a, b in zip(disturbed, undisturbed, strict=True)]
         assert max(moved_m) < CARRIED_M
-        assert moved_m[-1] < GONE_M
+        assert moved_m[-1] < (SUCCEEDED_M if liar == LEADER else GONE_M)
     distances_m = [dist(at[i], at[j]) for at in disturbed for i, j in combinations(at, 2)]
     assert min(distances_m) >= fleet.config.separation_m
     assert {agent.phase for agent in fleet.agents.values()} == {FlightPhase.FORMATION}
