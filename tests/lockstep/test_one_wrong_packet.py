@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from common import with_fields
 from companion.types.commands import CommandName
-from companion.types.flight import FlightPhase, HealthFlag
+from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.types.values import Vector3
@@ -128,6 +128,8 @@ def test_a_stream_of_claimed_accelerations_carries_no_vehicle_away(
     distances_m = [dist(at[i], at[j]) for at in disturbed for i, j in combinations(at, 2)]
     assert min(distances_m) >= fleet.config.separation_m
     assert {agent.phase for agent in fleet.agents.values()} == {FlightPhase.FORMATION}
+    leaders = [i for i, status in fleet.statuses.items() if status.leadership.role is Role.LEADER]
+    assert leaders == [FOLLOWER if liar == LEADER else LEADER]
     for i in fleet.agents.keys() - {liar}:
         assert fleet.statuses[i].rejected[f"{Code.PEER_ACCELERATION_LIMITED} {liar}"] == round(STREAM_S / TICK_S)
 

@@ -189,7 +189,7 @@ def test_the_last_setpoint_before_a_silence_brakes() -> None:
         flight.tick(telemetry=[])
     last = flight.targets[-1]
     east_m_s2, north_m_s2 = level_acceleration(last.roll_rad, last.pitch_rad, last.yaw_rad)
-    assert east_m_s2 == pytest.approx(-1.2 / STOPS_IN_S, abs=0.2)  # it has begun to brake, which the lag delays
+    assert -1.2 / STOPS_IN_S <= east_m_s2 <= -0.6  # less than for 1.2 m/s: what the law brakes shows after the lag
     assert north_m_s2 == pytest.approx(0.0, abs=0.05)
 
 
