@@ -36,7 +36,7 @@ from companion.core.filter.filter import (
 )
 from companion.core.filter.motion import Ahead, Other
 from companion.core.filter.solver import MET_M_S2, VEHICLE
-from companion.core.filter.vehicles import Barrier, Separation
+from companion.core.filter.vehicles import LARGEST_PULL_M_S2, PULL_SLOPE_1_S2, Barrier, Separation
 from companion.geometry.curves import approach_speed
 from companion.geometry.formations import HEIGHT_WEIGHT
 from companion.types.autopilot import VehicleState
@@ -44,7 +44,16 @@ from companion.types.formation import FlownSlot, FormationState
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.columns import BoolArray, Columns, IntArray
-from sitl.batch.nearby import AskedOfPairs, BatchSeparation, Moving, Nearby, Pairs, approach_speeds, position_error_of
+from sitl.batch.nearby import (
+    COMMANDED,
+    AskedOfPairs,
+    BatchSeparation,
+    Moving,
+    Nearby,
+    Pairs,
+    approach_speeds,
+    position_error_of,
+)
 from sitl.flight.files import ids_of
 from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
@@ -92,13 +101,14 @@ class BatchFilter:
         if pairs.place.size:
             asked = self._separation.asked(pairs, moving)
             looked_at[pairs.place[_violated(pairs, asked, wanted_enu_m_s2, possible_enu_m_s2)]] = True
+            looked_at[pairs.place[_eased(pairs, asked, wanted_enu_m_s2)]] = True
         places = np.flatnonzero(looked_at)
         if not places.size:
             return ChangedVehicles(places, np.zeros((3, 0)), np.zeros(0))
         pairs = self._nearby.pairs(group, heard, looked_at[:, None])
         asked = self._separation.asked(pairs, moving)
         matters = self._flyable.may_violate(pairs, asked, disturbance_enu_m_s2) | self._separation.within(pairs, moving)
-        matters |= _violated(pairs, asked, wanted_enu_m_s2, possible_enu_m_s2)
+        matters |= _violated(pairs, asked, wanted_enu_m_s2, possible_enu_m_s2) | _eased(pairs, asked, wanted_enu_m_s2)
         near = self._singles.near(pairs, asked, np.flatnonzero(matters))
         rows = [moving.now, moving.position_enu_m, moving.velocity_enu_m_s, wanted_enu_m_s2, disturbance_enu_m_s2]
         states = np.concatenate(rows)[:, places].T.tolist()
@@ -125,6 +135,14 @@ def _violated(pairs: Pairs, asked: AskedOfPairs, wanted: FloatArray, possible: F
     along = np.einsum("kp,kp->p", asked.normal, wanted[:, pairs.place])
     np.minimum(along, np.einsum("kp,kp->p", asked.normal, possible[:, pairs.place]), out=along)
     return np.asarray(asked.least_m_s2 - along > MET)
+
+
+def _eased(pairs: Pairs, asked: AskedOfPairs, wanted: FloatArray) -> BoolArray:
+    """Whether the core eases one of these accelerations (3, G) towards a vehicle that is near (P,)."""
+    pull_m_s2 = -np.einsum("kp,kp->p", asked.normal, wanted[:, pairs.place])
+    away_m_s2 = np.einsum("kp,kp->p", asked.normal, pairs.last[COMMANDED])
+    most_m_s2 = LARGEST_PULL_M_S2 + PULL_SLOPE_1_S2 * np.maximum(asked.margins_m[1], 0.0) - away_m_s2
+    return np.asarray((pull_m_s2 > np.maximum(most_m_s2, 0.0)) & (asked.least_m_s2 > -inf))
 
 
 class Singles:

@@ -21,10 +21,12 @@ from companion.core.filter.vehicles import (
     FASTEST_LEAVING_M_S,
     GROWTH_M_S,
     LARGEST_ERROR_RATIO,
+    LARGEST_PULL_M_S2,
     LEAST_DISTANCE_M,
     NEAREST_M,
     PASSING_M,
     PLACED_WITHIN_M,
+    PULL_SLOPE_1_S2,
     RESPONSE_1_S,
     SIDEWAYS_RATIO,
     SLOPE_1_S,
@@ -190,7 +192,8 @@ class BatchSeparation:
         allowed_m_s = np.sqrt(2.0 * SMALLEST_SIZE * braking_m_s2 * np.maximum(margin_m - 0.5 * straight_m, 1e-9))
         least = RESPONSE_1_S * (closing_m_s - allowed_m_s) + braking_m_s2 / allowed_m_s * approach_m_s
         least = np.maximum(least + flown_m_s2, 0.5 * least)
-        return np.asarray((margin_m <= straight_m) | (least > -most_m_s2[:, None]))
+        eased_m_s2 = LARGEST_PULL_M_S2 + PULL_SLOPE_1_S2 * np.maximum(margin_m, 0.0) - flown_m_s2
+        return np.asarray((margin_m <= straight_m) | (np.minimum(-least, eased_m_s2) < most_m_s2[:, None]))
 
     def asked(self, pairs: Pairs, moving: Moving) -> AskedOfPairs:
         """What the others of these pairs ask of a group."""

@@ -6,6 +6,8 @@ likewise six, which evaded to where the others did not believe them, 0.38. `spli
 each other, and those in the middle brake already; they flew back towards each other, 0.98. `split_of_three`: two of eight
 that fly at 2 m/s are cut off alone; each kept off where the others had been when they were last heard, 0.86.
 `squeezed`: to its new slot a vehicle flies between three, two of which hold; it swung between them, 0.90.
+`jammed`: vehicles that cross each other on the way to their slots, and one that hovers there, block each other; with 5 m/s^2 of
+pull they swung at the rate limit of their attitudes, 0.98.
 `all_links_lost`: four that fly a circle no longer receive each other; all evaded, and the leader came upon a vehicle in hold,
 0.1. `late_while_evading`: telemetry becomes 0.16 s late while four cross; the autopilot went on with an evasion, 0.69.
 `pressed_up`: a pilot climbs from straight below a vehicle that is 0.1 m under the fence's ceiling less the clearance.
@@ -47,6 +49,7 @@ def flown(case: str) -> tuple[Scenario, Flown]:
         ("split_square", 1.0),
         ("split_of_three", 1.0),
         ("squeezed", 1.0),
+        ("jammed", 1.0),
         ("late_while_evading", 1.0),
         ("all_links_lost", 1.0),
         ("pressed_up", 1.0),

@@ -35,6 +35,7 @@ from companion.core.filter.vehicles import (
     Barrier,
     Separation,
     SeparationSettings,
+    eased,
     largest_removed_m_s2,
     nearest_and_violated,
     turn_right,
@@ -169,7 +170,8 @@ class SafetyFilter:
         constraints += [b.constraint_without_margins for b in acting if b.constraint_without_margins]
         constraints += bounds
         limits = replace(self._limits, disturbance_enu_m_s2=disturbance_enu_m_s2)
-        allowed = filter_acceleration(slowed_enu_m_s2, constraints, limits, steps)
+        eased_enu_m_s2 = eased(slowed_enu_m_s2, acting) if barriers else slowed_enu_m_s2
+        allowed = filter_acceleration(eased_enu_m_s2, constraints, limits, steps)
         if allowed is wanted_enu_m_s2 and not pressure.pressing:
             return Filtered(allowed, seen)
         removed_m_s2 = 0.0

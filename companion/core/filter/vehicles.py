@@ -302,6 +302,40 @@ def largest_removed_m_s2(wanted_enu_m_s2: Vector3, barriers: Iterable[Barrier]) 
     return most
 
 
+# Towards a vehicle at the required distance, and for each metre farther away. The attitude needs half a second from a large
+# acceleration to the opposite one: vehicles that pull harder between others swing, each time farther.
+LARGEST_PULL_M_S2, PULL_SLOPE_1_S2 = 2.0, 4.0
+PULLED_WITHIN_M = 4.5  # from there on twice gravity is let pass
+
+
+def eased(wanted_enu_m_s2: Vector3, barriers: Iterable[Barrier]) -> Vector3:
+    """The wanted acceleration with a bounded pull towards vehicles that are near, relative to what these command.
+
+    The same object where no bound is exceeded. The largest excess is taken off first: peers have no order. No pull becomes a
+    push: one packet may report any acceleration.
+    """
+    (ux, uy, uz), excesses = wanted_enu_m_s2, []
+    for barrier in barriers:
+        margin_m = barrier.margin_m
+        if margin_m < PULLED_WITHIN_M and not barrier.below:
+            (nx, ny, nz, _, _), (ox, oy, oz) = barrier.constraint, barrier.other.commanded_enu_m_s2
+            least = nx * ox + ny * oy + nz * oz - LARGEST_PULL_M_S2
+            if margin_m > 0.0:
+                least -= PULL_SLOPE_1_S2 * margin_m
+            if least > 0.0:
+                least = 0.0
+            excess = least - (nx * ux + ny * uy + nz * uz)
+            if excess > 0.0:
+                excesses.append((excess, nx, ny, nz, least))
+    if not excesses:
+        return wanted_enu_m_s2
+    for _, nx, ny, nz, least in sorted(excesses, reverse=True):
+        excess = least - (nx * ux + ny * uy + nz * uz)
+        if excess > 0.0:
+            ux, uy, uz = ux + excess * nx, uy + excess * ny, uz + excess * nz
+    return (ux, uy, uz)
+
+
 TURN = 0.8  # sideways acceleration for each m/s^2 that a constraint removes from the wanted one
 LARGEST_TURN_M_S2 = 2.0  # towards the right of all blocking vehicles together
 PASSING_M_S = 1.0  # a vehicle this fast does not stay on the goal

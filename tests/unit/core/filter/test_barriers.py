@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import permutations
 from math import hypot, sqrt
 
 import pytest
@@ -13,6 +14,7 @@ from companion.core.filter.vehicles import (
     Barrier,
     Separation,
     SeparationSettings,
+    eased,
     largest_removed_m_s2,
     nearest_and_violated,
     turn_right,
@@ -484,6 +486,52 @@ def test_what_is_removed_is_the_most_of_any_vehicle() -> None:
     assert largest_removed_m_s2((-3.0, 2.0, -2.0), planes) == pytest.approx(2.0)
     assert largest_removed_m_s2((0.0, 2.0, -2.0), planes) == pytest.approx(0.9)
     assert largest_removed_m_s2((9.0, 2.0, 9.0), planes) == 0.0
+
+
+def near(normal: Vector3, commanded_enu_m_s2: Vector3 = ZERO3, margin_m: float = 0.0, below: bool = False) -> Barrier:
+    """Of a vehicle with this margin and command."""
+    one = replace(other(ZERO3, slot=FlownSlot(ZERO3)), commanded_enu_m_s2=commanded_enu_m_s2)
+    return replace(plane(normal, -9.0, one), margin_m=margin_m, below=below)
+
+
+EAST, NORTH = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+
+
+def test_a_vehicle_pulls_gently_towards_one_that_is_near() -> None:
+    """By 2 m/s^2 and 4 m/s^2 for each metre left, more or less by what the other one commands; along other axes as wanted."""
+    wanted = (-5.0, 3.0, 1.0)
+    assert eased(wanted, [near(EAST)]) == pytest.approx((-2.0, 3.0, 1.0))
+    assert eased(wanted, [near(EAST, margin_m=-0.4)]) == pytest.approx((-2.0, 3.0, 1.0))
+    assert eased(wanted, [near(EAST, margin_m=0.4)]) == pytest.approx((-3.6, 3.0, 1.0))
+    assert eased(wanted, [near(EAST), near((0.0, -1.0, 0.0))]) == pytest.approx((-2.0, 2.0, 1.0))
+    assert eased(wanted, [near(EAST, (-1.5, 9.0, 9.0))]) == pytest.approx((-3.5, 3.0, 1.0))
+    assert eased(wanted, [near(EAST, (0.5, 9.0, 9.0))]) == pytest.approx((-1.5, 3.0, 1.0))
+    assert eased(wanted, [near((0.6, 0.0, -0.8), (0.0, -9.0, 0.0))]) == pytest.approx((-3.92, 3.0, -0.44))
+    assert eased(wanted, [near((0.6, 0.0, -0.8), (1.0, 0.0, -1.0))]) == pytest.approx((-3.08, 3.0, -1.56))
+    assert eased((-30.0, 0.0, 0.0), [near(EAST, margin_m=4.49)]) == pytest.approx((-19.96, 0.0, 0.0))
+
+
+def test_the_order_of_the_others_changes_no_pull() -> None:
+    wanted, barriers = (-5.0, -4.0, 1.0), [near(EAST), near((0.6, 0.8, 0.0), margin_m=0.1), near(NORTH, margin_m=0.2)]
+    found = {eased(wanted, order) for order in permutations(barriers)}
+    assert found == {eased(wanted, barriers)} and found != {wanted}
+
+
+def test_a_false_acceleration_turns_no_pull_into_a_push() -> None:
+    wanted = (-5.0, 3.0, 1.0)
+    assert eased(wanted, [near(EAST, (15.0, 0.0, 0.0))]) == pytest.approx((0.0, 3.0, 1.0))
+    assert eased(wanted, [near(EAST, (-15.0, 0.0, 0.0))]) is wanted
+    pushed = (2.0, 0.0, 0.0)
+    assert eased(pushed, [near(EAST, (15.0, 0.0, 0.0))]) is pushed
+
+
+def test_no_pull_is_eased_where_there_is_room_or_below_a_silent_vehicle() -> None:
+    wanted = (-5.0, 3.0, 1.0)
+    assert eased(wanted, [near(EAST, margin_m=0.75)]) is wanted
+    assert eased((-30.0, 0.0, 0.0), [near(EAST, margin_m=4.5)]) == (-30.0, 0.0, 0.0)
+    assert eased(wanted, [near(EAST, below=True)]) is wanted
+    assert eased((-2.0, 3.0, 1.0), [near(EAST)]) == (-2.0, 3.0, 1.0)
+    assert eased(wanted, []) is wanted
 
 
 GAINS = Gains(2.0, 1.5)
