@@ -15,8 +15,9 @@ from companion.config.fleet_check import load_fleet
 from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from sitl.cluster import workers_of
 from sitl.gauntlet.adversarial import run_search
+from sitl.gauntlet.anything import SEARCHED
 from sitl.gauntlet.drawing import numbers_of
-from sitl.gauntlet.faults import ALL_FAMILIES, SEARCHED
+from sitl.gauntlet.faults import ALL_FAMILIES
 from sitl.gauntlet.flight import FlightOutcome, Job, fly
 from sitl.gauntlet.rare import MISSIONS, run_rare
 from sitl.gauntlet.real import REAL_FAMILIES, fly_real_flights

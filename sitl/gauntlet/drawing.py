@@ -16,8 +16,9 @@ from companion.types.autopilot import AutopilotKind
 from companion.types.errors import CompanionError
 from sitl.flight.flights import DivergesError, check_convergence
 from sitl.flight.scenario import Scenario, scenario_from
+from sitl.gauntlet.anything import ANYTHING, SEARCHED
 from sitl.gauntlet.families import FAMILIES, FORM_S, FamilyPlan, step
-from sitl.gauntlet.faults import COMBINED, FAULTS, SEARCHED
+from sitl.gauntlet.faults import COMBINED, FAULTS
 from sitl.gauntlet.fleets import START_SPACING, DrawnFleet, SensorsName, random_fleet, sections, to_thousandth
 from sitl.gauntlet.liars import LIARS
 
@@ -30,7 +31,8 @@ FAULT_NAMES = tuple(FAULTS)
 LIAR_NAMES = tuple(LIARS)
 FAULTS_FROM = 1_000_000
 """Number of the first flight of FAULTS: those of the other families keep the numbers, and thus the bits, of before."""
-COMBINED_FROM, LIARS_FROM = 2_000_000, 3_000_000  # likewise
+COMBINED_FROM, LIARS_FROM, ANYTHING_FROM = 2_000_000, 3_000_000, 4_000_000  # likewise
+ONLY_SEARCHED = {COMBINED: COMBINED_FROM, ANYTHING: ANYTHING_FROM}  # numbers of the first flights
 
 
 class Chosen(Random):
@@ -78,6 +80,8 @@ def family_of(number: int) -> str:
     """The family of a flight; it depends on its number alone."""
     if number < FAULTS_FROM:
         return NAMES[number % len(NAMES)]
+    if number >= ANYTHING_FROM:
+        return ANYTHING
     if number >= LIARS_FROM:
         return LIAR_NAMES[(number - LIARS_FROM) % len(LIAR_NAMES)]
     if number >= COMBINED_FROM:
@@ -95,7 +99,7 @@ def numbers_of(families: Collection[str]) -> Iterator[int]:
 
 
 def has_runaway(number: int) -> bool:
-    """Not beside a liar: a runaway is one whose words are true."""
+    """Not beside a liar: a runaway is one whose words are true. `anything` has pilots of its own."""
     return number < LIARS_FROM and number % RUNAWAY_EVERY == RUNAWAY_EVERY - 1
 
 

@@ -287,4 +287,3 @@ FAULTS: dict[str, Family] = {
 
 ALL_FAMILIES = FAMILIES | FAULTS | LIARS
 COMBINED = combined.__name__
-SEARCHED = ALL_FAMILIES | {COMBINED: combined}

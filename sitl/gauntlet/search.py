@@ -17,8 +17,7 @@ import msgspec
 from msgspec import Struct
 
 from companion.types.errors import UnusableError
-from sitl.gauntlet.drawing import COMBINED_FROM, numbers_of
-from sitl.gauntlet.faults import COMBINED
+from sitl.gauntlet.drawing import ONLY_SEARCHED, numbers_of
 from sitl.gauntlet.fleets import SensorsName
 from sitl.gauntlet.flight import INTRUSION_M, SENSOR_FACTOR, FlightOutcome, Job
 from sitl.gauntlet.others import SPEED_MARGIN_M_S
@@ -122,8 +121,8 @@ def score_of(outcome: FlightOutcome) -> float:
 
 def _numbers(family: str) -> Sequence[int]:
     """Ten flights of a family, one of which has a runaway vehicle."""
-    if family == COMBINED:
-        return range(COMBINED_FROM, COMBINED_FROM + 10)
+    if first := ONLY_SEARCHED.get(family):
+        return range(first, first + 10)
     numbers = numbers_of((family,))
     return [next(numbers) for _ in range(10)]
 

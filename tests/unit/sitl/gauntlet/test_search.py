@@ -11,8 +11,9 @@ import pytest
 
 from companion.types.errors import UnusableError
 from sitl.flight.scenario import Scenario
-from sitl.gauntlet.drawing import COMBINED_FROM, Chosen, draw_flight, has_runaway
-from sitl.gauntlet.faults import COMBINED, SEARCHED
+from sitl.gauntlet.anything import ANYTHING, SEARCHED
+from sitl.gauntlet.drawing import ANYTHING_FROM, COMBINED_FROM, Chosen, draw_flight, has_runaway
+from sitl.gauntlet.faults import COMBINED
 from sitl.gauntlet.flight import FlightOutcome, Job, LeastRoom
 from sitl.gauntlet.minimal import TAKE_OFF_STEPS, simpler
 from sitl.gauntlet.search import DRAWS, NO_PAIR, Search, read_search, score_of, write_search
@@ -27,7 +28,7 @@ def test_given_draws_come_first_and_near_ones_choose_alike() -> None:
     assert {Chosen("1", [x]).choice("abcd") for x in (0.51, 0.6, 0.74)} == {"c"}
 
 
-@pytest.mark.parametrize("family", [COMBINED, "exchange", "settings_at_bounds"])
+@pytest.mark.parametrize("family", [COMBINED, ANYTHING, "exchange", "settings_at_bounds"])
 def test_the_draws_decide_the_flight(family: str) -> None:
     search = Search(seed=5, sensors=None, families=(family,))
     jobs = search.next_jobs()
@@ -35,7 +36,7 @@ def test_the_draws_decide_the_flight(family: str) -> None:
     again = [draw_flight(job.seed, job.number, job.sensors, None, job.choices) for job in search.next_jobs()]
     assert flights == again
     assert {flight.family for flight in flights} == {family}
-    assert any(has_runaway(job.number) for job in jobs)
+    assert any(has_runaway(job.number) for job in jobs) is (family != ANYTHING)
     assert len({flight.scenario.fleet.separation_m for flight in flights}) > len(flights) // 2
 
 
@@ -44,6 +45,15 @@ def test_a_combined_flight_has_wind_walls_and_several_faults() -> None:
     assert any(one.stand_in.wind != Wind() for one in scenarios)
     assert any(one.fleet.obstacles for one in scenarios)
     assert any(one.links.partitions and one.stand_in.position_losses for one in scenarios)
+
+
+def test_any_flight_has_other_commands_places_and_faults_than_the_next() -> None:
+    scenarios = [draw_flight(1, ANYTHING_FROM + k).scenario for k in range(40)]
+    assert {one.fleet.law.name for one in scenarios} == {"weighted", "cooperative", "serial"}
+    commands = {step.command for one in scenarios for step in one.timeline}
+    assert commands >= {"hold", "land", "return", "form", "formation", "reference", "lead"}
+    assert any(one.agent_ends for one in scenarios) and any(one.links.partitions for one in scenarios)
+    assert any(member.slot_enu_m[2] > 1.0 for one in scenarios for member in one.fleet.vehicles)
 
 
 def test_where_each_follower_has_a_part_there_is_no_runaway() -> None:
