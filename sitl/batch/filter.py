@@ -36,7 +36,7 @@ from companion.core.filter.filter import (
 )
 from companion.core.filter.motion import Ahead, Other
 from companion.core.filter.solver import MET_M_S2, VEHICLE
-from companion.core.filter.vehicles import LARGEST_PULL_M_S2, PULL_SLOPE_1_S2, Barrier, Separation
+from companion.core.filter.vehicles import LARGEST_PULL_M_S2, LEAST_PULL_M_S2, PULL_SLOPE_1_S2, Barrier, Separation
 from companion.geometry.curves import approach_speed
 from companion.geometry.formations import HEIGHT_WEIGHT
 from companion.types.autopilot import VehicleState
@@ -141,8 +141,9 @@ def _eased(pairs: Pairs, asked: AskedOfPairs, wanted: FloatArray) -> BoolArray:
     """Whether the core eases one of these accelerations (3, G) towards a vehicle that is near (P,)."""
     pull_m_s2 = -np.einsum("kp,kp->p", asked.normal, wanted[:, pairs.place])
     away_m_s2 = np.einsum("kp,kp->p", asked.normal, pairs.last[COMMANDED])
-    most_m_s2 = LARGEST_PULL_M_S2 + PULL_SLOPE_1_S2 * np.maximum(asked.margins_m[1], 0.0) - away_m_s2
-    return np.asarray((pull_m_s2 > np.maximum(most_m_s2, 0.0)) & (asked.least_m_s2 > -inf))
+    most_m_s2 = np.maximum(LARGEST_PULL_M_S2 - away_m_s2, LEAST_PULL_M_S2)
+    most_m_s2 += PULL_SLOPE_1_S2 * np.maximum(asked.margins_m[1], 0.0)
+    return np.asarray((pull_m_s2 > most_m_s2) & (asked.least_m_s2 > -inf))
 
 
 class Singles:

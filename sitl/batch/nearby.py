@@ -23,6 +23,7 @@ from companion.core.filter.vehicles import (
     LARGEST_ERROR_RATIO,
     LARGEST_PULL_M_S2,
     LEAST_DISTANCE_M,
+    LEAST_PULL_M_S2,
     NEAREST_M,
     PASSING_M,
     PLACED_WITHIN_M,
@@ -192,7 +193,8 @@ class BatchSeparation:
         allowed_m_s = np.sqrt(2.0 * SMALLEST_SIZE * braking_m_s2 * np.maximum(margin_m - 0.5 * straight_m, 1e-9))
         least = RESPONSE_1_S * (closing_m_s - allowed_m_s) + braking_m_s2 / allowed_m_s * approach_m_s
         least = np.maximum(least + flown_m_s2, 0.5 * least)
-        eased_m_s2 = LARGEST_PULL_M_S2 + PULL_SLOPE_1_S2 * np.maximum(margin_m, 0.0) - flown_m_s2
+        eased_m_s2 = np.maximum(LARGEST_PULL_M_S2 - flown_m_s2, LEAST_PULL_M_S2)
+        eased_m_s2 += PULL_SLOPE_1_S2 * np.maximum(margin_m, 0.0)
         return np.asarray((margin_m <= straight_m) | (np.minimum(-least, eased_m_s2) < most_m_s2[:, None]))
 
     def asked(self, pairs: Pairs, moving: Moving) -> AskedOfPairs:

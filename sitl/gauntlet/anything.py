@@ -1,7 +1,6 @@
-"""`anything`: flights of which nothing fits the other. Slots, starts, law, commands and faults are drawn each for itself.
+"""The family `anything`: flights without a plan. Slots, starts, law, commands and faults are drawn independently.
 
-The other families draw what a fleet does. This one draws what a ground station and a site may ask of it, and finds what no
-family was written for. Only the search flies it.
+Each other family draws one situation. This one finds what none of them was written for. Only the search flies it.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ RESTARTS_AFTER_S = (2.0, 6.0)
 
 
 def anything(random: Random, fleet: DrawnFleet) -> FamilyPlan:
-    """Slots at any places, any commands to any vehicles, and any of the disturbances"""
+    """Slots at any places, any commands to any vehicles, and up to two disturbances."""
     _place(random, fleet)
     plan = random.choice((_slow, _slow, fast, turning))(random, fleet)
     plan.lasts_s, plan.steps, plan.expected = LASTS_S, [], []

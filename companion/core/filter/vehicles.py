@@ -305,14 +305,14 @@ def largest_removed_m_s2(wanted_enu_m_s2: Vector3, barriers: Iterable[Barrier]) 
 # Towards a vehicle at the required distance, and for each metre farther away. The attitude needs half a second from a large
 # acceleration to the opposite one: vehicles that pull harder between others swing, each time farther.
 LARGEST_PULL_M_S2, PULL_SLOPE_1_S2 = 2.0, 4.0
+LEAST_PULL_M_S2 = 1.0  # so much is let pass whatever a packet says
 PULLED_WITHIN_M = 4.5  # from there on twice gravity is let pass
 
 
 def eased(wanted_enu_m_s2: Vector3, barriers: Iterable[Barrier]) -> Vector3:
     """The wanted acceleration with a bounded pull towards vehicles that are near, relative to what these command.
 
-    The same object where no bound is exceeded. The largest excess is taken off first: peers have no order. No pull becomes a
-    push: one packet may report any acceleration.
+    The same object where no bound is exceeded. The largest excess is taken off first: peers have no order.
     """
     (ux, uy, uz), excesses = wanted_enu_m_s2, []
     for barrier in barriers:
@@ -320,10 +320,10 @@ def eased(wanted_enu_m_s2: Vector3, barriers: Iterable[Barrier]) -> Vector3:
         if margin_m < PULLED_WITHIN_M and not barrier.below:
             (nx, ny, nz, _, _), (ox, oy, oz) = barrier.constraint, barrier.other.commanded_enu_m_s2
             least = nx * ox + ny * oy + nz * oz - LARGEST_PULL_M_S2
+            if least > -LEAST_PULL_M_S2:
+                least = -LEAST_PULL_M_S2
             if margin_m > 0.0:
                 least -= PULL_SLOPE_1_S2 * margin_m
-            if least > 0.0:
-                least = 0.0
             excess = least - (nx * ux + ny * uy + nz * uz)
             if excess > 0.0:
                 excesses.append((excess, nx, ny, nz, least))

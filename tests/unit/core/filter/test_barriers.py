@@ -507,7 +507,7 @@ def test_a_vehicle_pulls_gently_towards_one_that_is_near() -> None:
     assert eased(wanted, [near(EAST, (-1.5, 9.0, 9.0))]) == pytest.approx((-3.5, 3.0, 1.0))
     assert eased(wanted, [near(EAST, (0.5, 9.0, 9.0))]) == pytest.approx((-1.5, 3.0, 1.0))
     assert eased(wanted, [near((0.6, 0.0, -0.8), (0.0, -9.0, 0.0))]) == pytest.approx((-3.92, 3.0, -0.44))
-    assert eased(wanted, [near((0.6, 0.0, -0.8), (1.0, 0.0, -1.0))]) == pytest.approx((-3.08, 3.0, -1.56))
+    assert eased(wanted, [near((0.6, 0.0, -0.8), (-1.0, 0.0, 1.0))]) == pytest.approx((-4.76, 3.0, 0.68))
     assert eased((-30.0, 0.0, 0.0), [near(EAST, margin_m=4.49)]) == pytest.approx((-19.96, 0.0, 0.0))
 
 
@@ -517,12 +517,13 @@ def test_the_order_of_the_others_changes_no_pull() -> None:
     assert found == {eased(wanted, barriers)} and found != {wanted}
 
 
-def test_a_false_acceleration_turns_no_pull_into_a_push() -> None:
+def test_a_false_acceleration_leaves_a_pull_of_1_m_s2() -> None:
     wanted = (-5.0, 3.0, 1.0)
-    assert eased(wanted, [near(EAST, (15.0, 0.0, 0.0))]) == pytest.approx((0.0, 3.0, 1.0))
+    assert eased(wanted, [near(EAST, (15.0, 0.0, 0.0))]) == pytest.approx((-1.0, 3.0, 1.0))
+    assert eased(wanted, [near(EAST, (15.0, 0.0, 0.0), margin_m=0.25)]) == pytest.approx((-2.0, 3.0, 1.0))
     assert eased(wanted, [near(EAST, (-15.0, 0.0, 0.0))]) is wanted
-    pushed = (2.0, 0.0, 0.0)
-    assert eased(pushed, [near(EAST, (15.0, 0.0, 0.0))]) is pushed
+    gentle = (-1.0, 0.0, 0.0)
+    assert eased(gentle, [near(EAST, (15.0, 0.0, 0.0))]) is gentle
 
 
 def test_no_pull_is_eased_where_there_is_room_or_below_a_silent_vehicle() -> None:
