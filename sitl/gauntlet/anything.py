@@ -9,8 +9,8 @@ from collections.abc import Callable
 from random import Random
 
 from companion.types.autopilot import AutopilotKind
-from sitl.gauntlet.families import FamilyPlan, fast, shape_change, slow, step, turning
-from sitl.gauntlet.faults import ALL_FAMILIES, COMBINED, DISTURBANCES, at, combined
+from sitl.gauntlet.families import RESTARTS_AFTER_S, STAYS_DEAD, FamilyPlan, fast, shape_change, slow, step, turning
+from sitl.gauntlet.faults import ALL_FAMILIES, COMBINED, DISTURBANCES, at, combined, fit_to_wind
 from sitl.gauntlet.fleets import START_SPACING, DrawnFleet, direction, moved, on_grid, scattered, to_thousandth
 
 LAW_NAMES = ("weighted", "cooperative", "serial")
@@ -18,7 +18,6 @@ HEIGHTS_M = 3.0  # slots are up to this far above the reference
 FROM_S, LASTS_S = (2.0, 26.0), 36.0
 MOST_COMMANDS, MOST_DISTURBANCES = 5, 2
 NEIGHBOUR_RANGE_M = (4.0, 40.0)
-RESTARTS_AFTER_S = (2.0, 6.0)
 
 
 def anything(random: Random, fleet: DrawnFleet) -> FamilyPlan:
@@ -35,10 +34,7 @@ def anything(random: Random, fleet: DrawnFleet) -> FamilyPlan:
         random.choice(COMMANDS)(random, fleet, plan)
     for happens in random.sample(ALL_DISTURBANCES, random.randint(0, MOST_DISTURBANCES)):
         happens(random, fleet, plan)
-    if "wind" in plan.stand_in:  # as in `combined`
-        plan.settings.pop("envelope.max_tilt_deg", None)
-        if fleet.autopilot is AutopilotKind.ARDUPILOT:
-            plan.links.pop("late_telemetry", None)
+    fit_to_wind(fleet, plan)
     plan.steps.sort(key=lambda one: float(one["at_s"]))
     plan.judges_hand_over = False  # vehicles are commanded to land and return wherever they are
     return plan
@@ -97,7 +93,7 @@ def _end_agent(random: Random, fleet: DrawnFleet, plan: FamilyPlan) -> None:
     """Not of an ArduCopter, which drifts unheard, as in `leader_dies`."""
     if fleet.autopilot is AutopilotKind.PX4:
         end = {"vehicle": random.choice(fleet.ids), "at_s": at(random.uniform(*FROM_S))}
-        if random.random() < 0.7:
+        if random.random() >= STAYS_DEAD:
             end["restarts_after_s"] = to_thousandth(random.uniform(*RESTARTS_AFTER_S))
         plan.agent_ends = [end]
 

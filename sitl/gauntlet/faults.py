@@ -246,11 +246,16 @@ def combined(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     plan = _something(random, fleet)
     for happens in random.sample(DISTURBANCES, random.choice((2, 3, 4))):
         happens(random, fleet, plan)
+    fit_to_wind(fleet, plan)
+    return plan
+
+
+def fit_to_wind(fleet: DrawnFleet, plan: FamilyPlan) -> None:
+    """Without what no vehicle can fly in a wind."""
     if "wind" in plan.stand_in:
         plan.settings.pop("envelope.max_tilt_deg", None)  # with a small tilt no vehicle stays in a wind
         if fleet.autopilot is AutopilotKind.ARDUPILOT:
             plan.links.pop("late_telemetry", None)  # it levels, and drifts unheard with the wind
-    return plan
 
 
 def _split_network(random: Random, fleet: DrawnFleet, plan: FamilyPlan) -> None:
