@@ -189,6 +189,9 @@ TRAFFIC_SILENCE = Silence(
     TRAFFIC_EXTRAPOLATED_S, TRAFFIC_EXTRAPOLATED_S, TRAFFIC_EXTRAPOLATED_S, AUTOPILOT_BRAKES_M_S2, lands=False
 )
 NO_ERROR = PositionError(0.0, 0.0)
+# A vehicle without GPS may have landed anywhere within its error, up to this: at 0.06 m/s^2 it is there after half a minute.
+LARGEST_ON_GROUND_M = 30.0
+ON_GROUND_M = 1.0  # disarmed and no higher than that above the own place of take-off, a vehicle lies on the ground
 
 
 class Other(Struct, frozen=True, gc=False):
@@ -266,13 +269,20 @@ class Motions:
         near, before, begins_s = [], self._lagged_enu_m_s2, self._silence.begins_s
         commanded: dict[int, Vector3] = {}
         x, y, z = vehicle.position_enu_m
+        ground_enu_m = vehicle.ground_position_enu_m
+        lies_below_m = -inf if ground_enu_m is None else ground_enu_m[2] + ON_GROUND_M
         for peer_id, peer in peers.items():
             packet, age_s = peer.packet, now_s - peer.measured_s
             there_enu_m, moving_enu_m_s = packet.motion.position_enu_m, packet.motion.velocity_enu_m_s
             acceleration = packet.motion.acceleration_enu_m_s2
-            is_fresh, (px, py, pz) = peer_id in fresh, there_enu_m
+            is_fresh, error = peer_id in fresh, packet.position_error or NO_ERROR
             if age_s > FORGOTTEN_S:
                 continue
+            if not packet.armed and there_enu_m[2] < lies_below_m:
+                follows_s = age_s if age_s <= begins_s and not peer.contradicts else None
+                there_enu_m, moving_enu_m_s = _nearest_on_ground(vehicle, there_enu_m, error.horizontal_m, follows_s)
+                error = NO_ERROR
+            px, py, pz = there_enu_m
             if abs(x - px) >= NEAR_M or abs(y - py) >= NEAR_M or abs(z - pz) >= NEAR_M:
                 reaches_m_s = moving_enu_m_s if is_fresh else _reached_in_silence(moving_enu_m_s, acceleration)
                 if not _may_meet(vehicle, there_enu_m, reaches_m_s, age_s):
@@ -298,7 +308,7 @@ class Motions:
                 command,
                 age_s,
                 silence,
-                packet.position_error or NO_ERROR,
+                error,
                 HEIGHT_WEIGHT if packet.armed else 1.0,  # no downwash reaches a vehicle on the ground
                 packet.slot if cooperates and makes_way else None,
                 makes_way=makes_way,
@@ -307,6 +317,24 @@ class Motions:
             near.append(other)
         self._lagged_enu_m_s2 = commanded
         return near
+
+
+def _nearest_on_ground(
+    vehicle: VehicleState, there_enu_m: Vector3, error_m: float, follows_s: float | None
+) -> tuple[Vector3, Vector3]:
+    """(position, velocity) of a vehicle that lies on the ground, where it may be nearest to this one.
+
+    Its height is known, its place only within `error_m`: this one keeps above it, and does not fly round all of the error. Above
+    this circle the place moves along with this vehicle; `follows_s` ago, if it will be taken ahead by that time, else None.
+    """
+    (x, y, _), (vx, vy, _), (px, py, pz) = vehicle.position_enu_m, vehicle.velocity_enu_m_s, there_enu_m
+    dx, dy = x - px, y - py
+    level_m, reach_m = hypot(dx, dy), min(error_m, LARGEST_ON_GROUND_M)
+    if level_m > reach_m:
+        return (px + reach_m / level_m * dx, py + reach_m / level_m * dy, pz), ZERO3
+    if follows_s is None:
+        return (x, y, pz), ZERO3
+    return (x - follows_s * vx, y - follows_s * vy, pz), (vx, vy, 0.0)
 
 
 def traffic_nearby(now_s: float, vehicle: VehicleState, traffic: Mapping[str, ReceivedTraffic]) -> list[Other]:
