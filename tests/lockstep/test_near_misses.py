@@ -10,7 +10,7 @@ that fly at 2 m/s are cut off alone; each kept off where the others had been whe
 pull they swung at the rate limit of their attitudes, 0.98.
 `all_links_lost`: four that fly a circle no longer receive each other; all evaded, and the leader came upon a vehicle in hold,
 0.1. `late_while_evading`: telemetry becomes 0.16 s late while four cross; the autopilot went on with an evasion, 0.69.
-`landed_without_gps`: a vehicle that lost GPS has landed 6 m from where it believes to be, and another one takes its place, 0.97.
+`landed_without_gps`: a vehicle that lost GPS has landed 6 m from where it believes to be, and another one flies there, 0.97.
 `pressed_up`: a pilot climbs from straight below a vehicle that is 0.1 m under the fence's ceiling less the clearance.
 `return_in_turn`: of three abreast that fly on, the leader without successors returns, and 1 s later its neighbour, whose path
 home would begin farther on.

@@ -20,7 +20,7 @@ from companion.geometry.vectors import shortened
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FlownSlot
-from companion.types.peers import FORGOTTEN_S, ReceivedTraffic, TrafficSample
+from companion.types.peers import FORGOTTEN_S, PeerPacket, ReceivedTraffic, TrafficSample
 from companion.types.values import ZERO3, Vector3
 
 
@@ -269,8 +269,6 @@ class Motions:
         near, before, begins_s = [], self._lagged_enu_m_s2, self._silence.begins_s
         commanded: dict[int, Vector3] = {}
         x, y, z = vehicle.position_enu_m
-        ground_enu_m = vehicle.ground_position_enu_m
-        lies_below_m = -inf if ground_enu_m is None else ground_enu_m[2] + ON_GROUND_M
         for peer_id, peer in peers.items():
             packet, age_s = peer.packet, now_s - peer.measured_s
             there_enu_m, moving_enu_m_s = packet.motion.position_enu_m, packet.motion.velocity_enu_m_s
@@ -278,10 +276,9 @@ class Motions:
             is_fresh, error = peer_id in fresh, packet.position_error or NO_ERROR
             if age_s > FORGOTTEN_S:
                 continue
-            if not packet.armed and there_enu_m[2] < lies_below_m:
+            if not packet.armed:
                 follows_s = age_s if age_s <= begins_s and not peer.contradicts else None
-                there_enu_m, moving_enu_m_s = _nearest_on_ground(vehicle, there_enu_m, error.horizontal_m, follows_s)
-                error = NO_ERROR
+                there_enu_m, moving_enu_m_s, error = _on_ground(vehicle, packet, follows_s)
             px, py, pz = there_enu_m
             if abs(x - px) >= NEAR_M or abs(y - py) >= NEAR_M or abs(z - pz) >= NEAR_M:
                 reaches_m_s = moving_enu_m_s if is_fresh else _reached_in_silence(moving_enu_m_s, acceleration)
@@ -319,22 +316,26 @@ class Motions:
         return near
 
 
-def _nearest_on_ground(
-    vehicle: VehicleState, there_enu_m: Vector3, error_m: float, follows_s: float | None
-) -> tuple[Vector3, Vector3]:
-    """(position, velocity) of a vehicle that lies on the ground, where it may be nearest to this one.
+def _on_ground(
+    vehicle: VehicleState, packet: PeerPacket, follows_s: float | None
+) -> tuple[Vector3, Vector3, PositionError]:
+    """(position, velocity, error) of a disarmed vehicle, where it may be nearest to this one.
 
-    Its height is known, its place only within `error_m`: this one keeps above it, and does not fly round all of the error. Above
-    this circle the place moves along with this vehicle; `follows_s` ago, if it will be taken ahead by that time, else None.
+    Its height is known, its place only within the error: this one keeps above it, and need not fly round all of the error.
+    Above this circle the place moves along with this vehicle; `follows_s` ago, if it will be taken ahead by that time, else None.
     """
-    (x, y, _), (vx, vy, _), (px, py, pz) = vehicle.position_enu_m, vehicle.velocity_enu_m_s, there_enu_m
+    (x, y, _), (vx, vy, _) = vehicle.position_enu_m, vehicle.velocity_enu_m_s
+    (px, py, pz), error = packet.motion.position_enu_m, packet.position_error or NO_ERROR
+    ground_enu_m = vehicle.ground_position_enu_m
+    if ground_enu_m is None or pz >= ground_enu_m[2] + ON_GROUND_M:
+        return packet.motion.position_enu_m, packet.motion.velocity_enu_m_s, error
     dx, dy = x - px, y - py
-    level_m, reach_m = hypot(dx, dy), min(error_m, LARGEST_ON_GROUND_M)
+    level_m, reach_m = hypot(dx, dy), min(error.horizontal_m, LARGEST_ON_GROUND_M)
     if level_m > reach_m:
-        return (px + reach_m / level_m * dx, py + reach_m / level_m * dy, pz), ZERO3
+        return (px + reach_m / level_m * dx, py + reach_m / level_m * dy, pz), ZERO3, NO_ERROR
     if follows_s is None:
-        return (x, y, pz), ZERO3
-    return (x - follows_s * vx, y - follows_s * vy, pz), (vx, vy, 0.0)
+        return (x, y, pz), ZERO3, NO_ERROR
+    return (x - follows_s * vx, y - follows_s * vy, pz), (vx, vy, 0.0), NO_ERROR
 
 
 def traffic_nearby(now_s: float, vehicle: VehicleState, traffic: Mapping[str, ReceivedTraffic]) -> list[Other]:
