@@ -322,7 +322,7 @@ def _on_ground(
     """(position, velocity, error) of a disarmed vehicle, where it may be nearest to this one.
 
     Its height is known, its place only within the error: this one keeps above it, and need not fly round all of the error.
-    Above this circle the place moves along with this vehicle; `follows_s` ago, if it will be taken ahead by that time, else None.
+    Above this circle it moves along with this vehicle: the place of `follows_s` ago, if it will be taken ahead by that time.
     """
     (x, y, _), (vx, vy, _) = vehicle.position_enu_m, vehicle.velocity_enu_m_s
     (px, py, pz), error = packet.motion.position_enu_m, packet.position_error or NO_ERROR
