@@ -221,7 +221,7 @@ def test_what_is_known_of_a_peer_in_formation() -> None:
 
 
 ABOVE = replace(
-    OWN, position_enu_m=(3.0, 4.0, 2.5), velocity_enu_m_s=(2.0, -1.0, 0.5), ground_position_enu_m=(9.0, 9.0, 0.2)
+    OWN, position_enu_m=(3.0, 4.0, 2.5), velocity_enu_m_s=(2.0, -0.5, 0.5), ground_position_enu_m=(9.0, 9.0, 0.2)
 )
 
 
@@ -232,22 +232,24 @@ def on_ground(
     own: VehicleState = ABOVE,
     armed: bool = False,
     contradicts: bool = False,
+    silence: Silence = SILENCE,
 ) -> Other:
     """A vehicle that has landed, as `own` takes it."""
     error = PositionError(error_m, 3.0)
     peer = heard(7, place_enu_m, P.OBSERVE, 10.0 - age_s, armed=armed, position_error=error)
     peer = replace(peer, contradicts=contradicts)
-    (other,) = Motions(2, SILENCE).peers(10.0, own, True, {7: peer}, {7: peer})
+    (other,) = Motions(2, silence).peers(10.0, own, True, {7: peer}, {7: peer})
     return other
 
 
 def test_a_vehicle_without_gps_may_lie_on_the_ground_straight_below() -> None:
     """Its error is 6 m, and it is 5 m away; the place follows the own vehicle, and is below it when taken ahead by its age."""
     below = on_ground(6.0)
-    assert below.last[0] == pytest.approx((3.0 - 0.2 * 2.0, 4.0 + 0.2 * 1.0, 0.1))
-    assert below.last[1:] == ((2.0, -1.0, 0.0), (0.0, 0.0, 0.0))
+    assert below.last[0] == pytest.approx((3.0 - 0.2 * 2.0, 4.0 + 0.2 * 0.5, 0.1))
+    assert below.last[1:] == ((2.0, -0.5, 0.0), (0.0, 0.0, 0.0))
     assert (below.error, below.silence, below.age_s) == (NO_ERROR, None, pytest.approx(0.2))
-    assert on_ground(5.0).last[1] == (2.0, -1.0, 0.0)
+    assert on_ground(8.0, (10.0, 2.0, 0.1)).last[1] == (2.0, -0.5, 0.0)
+    assert on_ground(5.0).last[1] == (2.0, -0.5, 0.0)
 
 
 def test_a_vehicle_on_the_ground_may_be_nearer_by_its_error() -> None:
@@ -265,13 +267,14 @@ def test_the_place_of_a_silent_vehicle_on_the_ground_does_not_coast() -> None:
     for silent in (on_ground(6.0, age_s=0.31), on_ground(6.0, contradicts=True)):
         assert silent.last == ((3.0, 4.0, 0.1), ZERO3, ZERO3)
         assert silent.silence is not None
-    assert on_ground(6.0, age_s=0.29).last[1] == (2.0, -1.0, 0.0)
+    begins = replace(SILENCE, begins_s=0.25)
+    assert on_ground(6.0, age_s=0.25, silence=begins).last[1] == (2.0, -0.5, 0.0)
 
 
 def test_what_does_not_lie_on_the_ground_keeps_its_error() -> None:
     """Armed, more than 1 m above the own place of take-off, or where this is not known: the error counts in all directions."""
     unknown = replace(ABOVE, ground_position_enu_m=None)
-    for other in (on_ground(6.0, armed=True), on_ground(6.0, (0.0, 0.0, 1.21)), on_ground(6.0, own=unknown)):
+    for other in (on_ground(6.0, armed=True), on_ground(6.0, (0.0, 0.0, 1.2)), on_ground(6.0, own=unknown)):
         assert other.last[0][:2] == (0.0, 0.0)
         assert other.error == PositionError(6.0, 3.0)
     assert on_ground(6.0, (0.0, 0.0, 1.19)).error == NO_ERROR
