@@ -278,7 +278,7 @@ class Motions:
                 continue
             if not packet.armed:
                 follows_s = age_s if age_s <= begins_s and not peer.contradicts else None
-                there_enu_m, moving_enu_m_s, error = _on_ground(vehicle, packet, follows_s)
+                there_enu_m, moving_enu_m_s, error = _nearest_disarmed(vehicle, packet, error, follows_s)
             px, py, pz = there_enu_m
             if abs(x - px) >= NEAR_M or abs(y - py) >= NEAR_M or abs(z - pz) >= NEAR_M:
                 reaches_m_s = moving_enu_m_s if is_fresh else _reached_in_silence(moving_enu_m_s, acceleration)
@@ -316,17 +316,16 @@ class Motions:
         return near
 
 
-def _on_ground(
-    vehicle: VehicleState, packet: PeerPacket, follows_s: float | None
+def _nearest_disarmed(
+    vehicle: VehicleState, packet: PeerPacket, error: PositionError, follows_s: float | None
 ) -> tuple[Vector3, Vector3, PositionError]:
-    """(position, velocity, error) of a disarmed vehicle, where it may be nearest to this one.
+    """(position, velocity, error) of a disarmed vehicle: on the ground, of the place where it may be nearest to this one.
 
     Its height is known, its place only within the error: this one keeps above it, and need not fly round all of the error.
     Above this circle it moves along with this vehicle: the place of `follows_s` ago, if it will be taken ahead by that time.
     """
     (x, y, _), (vx, vy, _) = vehicle.position_enu_m, vehicle.velocity_enu_m_s
-    (px, py, pz), error = packet.motion.position_enu_m, packet.position_error or NO_ERROR
-    ground_enu_m = vehicle.ground_position_enu_m
+    (px, py, pz), ground_enu_m = packet.motion.position_enu_m, vehicle.ground_position_enu_m
     if ground_enu_m is None or pz >= ground_enu_m[2] + ON_GROUND_M:
         return packet.motion.position_enu_m, packet.motion.velocity_enu_m_s, error
     dx, dy = x - px, y - py
