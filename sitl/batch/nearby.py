@@ -20,6 +20,7 @@ from companion.core.filter.vehicles import (
     BELIEVED_S,
     FASTEST_LEAVING_M_S,
     GROWTH_M_S,
+    KEPT_M,
     LARGEST_ERROR_RATIO,
     LARGEST_PULL_M_S2,
     LEAST_DISTANCE_M,
@@ -162,11 +163,12 @@ class BatchSeparation:
         errors = [position_error_of(scenario) for scenario in scenarios]
         self._slot_enu_m = slot_enu_m
         self._separation_m = columns.spread([s.separation_m for s in settings])
+        self._kept_m = self._separation_m + KEPT_M
         self._braking_m_s2 = 2.0 * columns.spread([s.braking_m_s2 for s in settings])
         self._level_error_m = columns.spread([hypot(e.horizontal_m, e.horizontal_m) for e in errors])
         self._height_error_m = columns.spread([hypot(e.vertical_m, e.vertical_m) for e in errors])
         error_m = self._level_error_m + HEIGHT_WEIGHT * self._height_error_m
-        self._most_required_m = self._separation_m + error_m + PASSING_M
+        self._most_required_m = self._kept_m + error_m + PASSING_M
 
     def may_ask(self, group: slice, heard: Heard, moving: Moving, most_m_s2: FloatArray) -> BoolArray:
         """Whether an acceleration of at most this size (G,) might violate the constraint of a pair (G, K).
@@ -199,7 +201,7 @@ class BatchSeparation:
 
     def asked(self, pairs: Pairs, moving: Moving) -> AskedOfPairs:
         """What the others of these pairs ask of a group."""
-        last, ahead_s, separation_m = pairs.last, pairs.age_s + LAG_S, self._separation_m[pairs.own]
+        last, ahead_s, kept_m = pairs.last, pairs.age_s + LAG_S, self._kept_m[pairs.own]
         off_m = moving.position_enu_m[:, pairs.place] - last[:3] - last[VELOCITY] * ahead_s
         moves_m_s = moving.velocity_enu_m_s[:, pairs.place] - last[VELOCITY] - last[ACCELERATION] * ahead_s
         off_m[2] *= HEIGHT_WEIGHT
@@ -209,7 +211,7 @@ class BatchSeparation:
         closing_m_s = -_dot(normal, moves_m_s)
         across_m_s2 = (_dot(moves_m_s, moves_m_s) - closing_m_s * closing_m_s) / (apart_m + NEAREST_M)
         normal[2] *= HEIGHT_WEIGHT
-        required_m = self._required_m(pairs, separation_m, off_m, np.abs(normal[2]))
+        required_m = self._required_m(pairs, kept_m, off_m, np.abs(normal[2]))
         required_m += TURNING_S2 * across_m_s2 + UNSEEN_DELAY_S * np.maximum(closing_m_s, 0.0)
         required_m += GROWTH_M_S * np.maximum(pairs.age_s - BELIEVED_S, 0.0)
         size, margin_m = _size(normal), apart_m - required_m
@@ -219,7 +221,7 @@ class BatchSeparation:
         towards_m_s2 = _dot(normal, last[COMMANDED])
         towards_m_s2[(pairs.age_s > BELIEVED_S) & (towards_m_s2 < 0.0)] = 0.0
         least_m_s2 = np.maximum(least_m_s2 + towards_m_s2, 0.5 * least_m_s2) / size
-        least_m_s2[(apart_m <= SIDEWAYS_RATIO * separation_m) | ~pairs.formed] = np.inf
+        least_m_s2[(apart_m <= SIDEWAYS_RATIO * kept_m) | ~pairs.formed] = np.inf
         least_m_s2[~_are_near(pairs, moving)] = -np.inf
         return AskedOfPairs(normal / size, least_m_s2, np.stack([required_m, margin_m]))
 
@@ -229,15 +231,15 @@ class BatchSeparation:
         off_m[2] *= HEIGHT_WEIGHT
         return np.asarray(_size(off_m) < NEARLY * self._separation_m[pairs.own])
 
-    def _required_m(self, pairs: Pairs, separation_m: FloatArray, off_m: FloatArray, upward: FloatArray) -> FloatArray:
+    def _required_m(self, pairs: Pairs, kept_m: FloatArray, off_m: FloatArray, upward: FloatArray) -> FloatArray:
         """`Separation._required` of vehicles that are heard, in slots at rest; `off_m` (3, P) with weighted heights."""
         level_m, height_m = self._level_error_m[pairs.own], self._height_error_m[pairs.own]
-        margin_m = np.minimum(level_m + height_m * upward, LARGEST_ERROR_RATIO * separation_m)
+        margin_m = np.minimum(level_m + height_m * upward, LARGEST_ERROR_RATIO * kept_m)
         slots_m = self._slot_enu_m[:, pairs.own] - self._slot_enu_m[:, pairs.other]
         slots_m[2] *= HEIGHT_WEIGHT
         passing_m = SLOT_SHARE * np.maximum(_size(off_m - slots_m) - PLACED_WITHIN_M, 0.0)
-        allowance_m = np.maximum(SLOT_SHARE * np.abs(_size(slots_m) - separation_m), passing_m)
-        return np.asarray(separation_m + np.minimum(margin_m + np.minimum(passing_m, PASSING_M), allowance_m))
+        allowance_m = np.maximum(SLOT_SHARE * np.abs(_size(slots_m) - kept_m), passing_m)
+        return np.asarray(kept_m + np.minimum(margin_m + np.minimum(passing_m, PASSING_M), allowance_m))
 
 
 def approach_speeds(

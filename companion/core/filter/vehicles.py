@@ -55,6 +55,7 @@ UNSEEN_DELAY_S = 0.1
 PURSUED_S = 0.4
 # For so long a vehicle is believed to turn away as its last packet says; then it may have changed its mind unheard.
 BELIEVED_S = 0.1
+KEPT_M = 0.003  # farther apart than separation_m: a distance that is kept by feedback varies by a millimetre
 RIPPLE_M = 0.05  # the distance varies by this while a vehicle slides along one that does not give way
 RESPONSE_1_S = 5.0  # k: how fast h may approach 0; 1/k is the attitude lag, faster no vehicle responds
 SLOPE_1_S = 4.0  # approach speed per metre near the required distance; below k, so that h can follow
@@ -107,10 +108,11 @@ class Separation:
 
     def __init__(self, settings: SeparationSettings) -> None:
         self.separation_m = settings.separation_m
+        self._kept_m = settings.separation_m + KEPT_M
         self._braking_alone_m_s2 = ALONE_SHARE * settings.braking_m_s2
         self._braking_together_m_s2 = 2.0 * settings.braking_m_s2
-        self._largest_error_m = LARGEST_ERROR_RATIO * settings.separation_m
-        self._close_m = SIDEWAYS_RATIO * settings.separation_m
+        self._largest_error_m = LARGEST_ERROR_RATIO * self._kept_m
+        self._close_m = SIDEWAYS_RATIO * self._kept_m
         self._sideways: dict[int | str, tuple[float, float]] = {}  # the direction to leave each close vehicle by
 
     def barriers_below(
@@ -150,7 +152,7 @@ class Separation:
         mz, offset_enu_m = nz * weight, (rx, ry, rz)
         required_m = self._required(error, slot, other, offset_enu_m, mz)
         late_m, braking_m_s2 = UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0, self._braking_together_m_s2
-        margins_m = required_m - self.separation_m
+        margins_m = required_m - self._kept_m
         if slot_of_other is None:
             braking_m_s2 = self._braking_alone_m_s2
             if not other.makes_way:  # a pursuer is nearer than its last packet shows, even if it no longer approaches
@@ -231,7 +233,7 @@ class Separation:
         cross each other: the less these can be flown, the more margins count. Vehicles that are not placed as their slots pass
         each other on the way there: they get room for it. `offset_enu_m`: from the other vehicle to this one.
         """
-        separation_m, error = self.separation_m, other.error
+        kept_m, error = self._kept_m, other.error
         level_m = hypot(own.horizontal_m, error.horizontal_m)
         height_m = hypot(own.vertical_m, error.vertical_m) * abs(upward)
         margin_m = level_m + height_m  # one standard deviation
@@ -242,8 +244,8 @@ class Separation:
             margin_m = min(margin_m, most_m)
         if other.silence is not None and other.silence.coasts:
             silent_s = max(0.0, other.age_s - other.silence.kept_s)
-            margin_m += min(silent_s * GROWTH_M_S, LARGEST_GROWTH_RATIO * separation_m) + other.silence.leaps_m
-        required_m = separation_m + margin_m
+            margin_m += min(silent_s * GROWTH_M_S, LARGEST_GROWTH_RATIO * kept_m) + other.silence.leaps_m
+        required_m = kept_m + margin_m
         if slot is None or other.slot is None:
             return required_m
         (x, y, z), (ox, oy, oz), (rx, ry, rz) = slot.position_enu_m, other.slot.position_enu_m, offset_enu_m
@@ -251,7 +253,7 @@ class Separation:
         dx, dy, dz = x - ox, y - oy, z - oz
         ex, ey, ez = rx - dx, ry - dy, (rz - dz) * weight
         dz *= weight
-        allowance_m = SLOT_SHARE * abs(sqrt(dx * dx + dy * dy + dz * dz) - separation_m)
+        allowance_m = SLOT_SHARE * abs(sqrt(dx * dx + dy * dy + dz * dz) - kept_m)
         if slot.moves_for_s > 0.0 or other.slot.moves_for_s > 0.0:
             required_m += TRACKING_M
             allowance_m = max(allowance_m, TRACKING_M)
@@ -259,7 +261,7 @@ class Separation:
             passing_m = SLOT_SHARE * (sqrt(ex * ex + ey * ey + ez * ez) - PLACED_WITHIN_M)
             required_m += passing_m if passing_m < PASSING_M else PASSING_M
             allowance_m = max(allowance_m, passing_m)
-        most_m = separation_m + allowance_m
+        most_m = kept_m + allowance_m
         return required_m if required_m < most_m else most_m
 
 

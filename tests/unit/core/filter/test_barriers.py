@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from companion.core.filter.motion import Ahead, Other, Silence, nearest_on_way
 from companion.core.filter.solver import Rank
 from companion.core.filter.vehicles import (
+    KEPT_M,
     Barrier,
     Separation,
     SeparationSettings,
@@ -24,8 +25,8 @@ from companion.types.autopilot import PositionError, VehicleState
 from companion.types.formation import FlownSlot, Gains
 from companion.types.values import ZERO3, Vector3
 
-SEPARATION_M, BRAKING_M_S2 = 2.0, 1.5
-SETTINGS = SeparationSettings(1, SEPARATION_M, BRAKING_M_S2, 0.3, 8.0)
+SEPARATION_M, BRAKING_M_S2 = 2.0, 1.5  # the distance that is kept: separation_m and some millimetres
+SETTINGS = SeparationSettings(1, SEPARATION_M - KEPT_M, BRAKING_M_S2, 0.3, 8.0)
 LAG_S = 0.2
 NO_ERROR = PositionError(0.0, 0.0)
 ALONE_M = 0.15  # ripple and tracking, where the other makes no way

@@ -13,7 +13,14 @@ from companion.core.consensus.peers import PeerState
 from companion.core.filter.filter import Bounds, Interventions, SafetyFilter, SpeedLimit, better_kept
 from companion.core.filter.motion import NO_ERROR, Ahead, Motions, Other, Silence
 from companion.core.filter.solver import AccelerationLimits, Constraint, Rank, filter_acceleration
-from companion.core.filter.vehicles import Barrier, Separation, SeparationSettings, largest_removed_m_s2, turn_right
+from companion.core.filter.vehicles import (
+    KEPT_M,
+    Barrier,
+    Separation,
+    SeparationSettings,
+    largest_removed_m_s2,
+    turn_right,
+)
 from companion.geometry.airspace import Airspace, Cuboid, Cylinder, Fence
 from companion.geometry.curves import approach_speed
 from companion.types.autopilot import PositionError, VehicleState
@@ -152,7 +159,7 @@ def test_a_turn_is_flown_unless_it_misses_a_rank_by_far_more() -> None:
 
 TAN_TILT = tan(radians(25.0))
 LIMITS = AccelerationLimits.of_envelope(TAN_TILT, 0.3, 1.6)
-SETTINGS = SeparationSettings(1, 2.0, 1.5, 0.3, 8.0)
+SETTINGS = SeparationSettings(1, 2.0 - KEPT_M, 1.5, 0.3, 8.0)
 GAINS = Gains(2.0, 1.5)
 NOW_S = 10.0
 OWN = VehicleState(position_enu_m=(0.0, 0.0, 20.0), position_time_s=NOW_S, position_error=PositionError(0.1, 0.2))
