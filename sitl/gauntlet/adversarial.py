@@ -14,7 +14,7 @@ from sitl.cluster import workers_of
 from sitl.flight.scenario import Scenario
 from sitl.gauntlet.flight import FlightOutcome, Job, fly
 from sitl.gauntlet.minimal import minimal
-from sitl.gauntlet.search import NO_PAIR, Search, read_search, score_of, write_search
+from sitl.gauntlet.search import NO_PAIR, Search, is_violation, read_search, score_of, write_search
 from sitl.gauntlet.summary import line_of
 from sitl.report.folder import Column, results_folder, table_text
 from sitl.report.progress import ShareProgress
@@ -141,7 +141,7 @@ def _row(family: str, outcomes: Sequence[FlightOutcome]) -> tuple[str, ...]:
     return (
         family,
         str(len(outcomes)),
-        str(sum(o.violation or bool(o.exception) for o in outcomes)),
+        str(sum(map(is_violation, outcomes))),
         f"{min(map(score_of, outcomes), default=NO_PAIR):.2f}",
         f"{min(ratios):.2f}" if ratios else "-",
         f"{min(rooms_m):.2f} m" if rooms_m else "-",

@@ -48,7 +48,10 @@ class Point(Struct, frozen=True):
 
 
 class Search(Struct, kw_only=True):
-    """The whole state of a search, content of search.json. `elites`: of each family, the worst first."""
+    """The whole state of a search, content of search.json. `elites`: of each family, the worst first.
+
+    `kept`: all flights with a violation or an exception, and those without liars in which the last check braked a vehicle.
+    """
 
     schema: int = SCHEMA
     seed: int
@@ -56,6 +59,7 @@ class Search(Struct, kw_only=True):
     families: tuple[str, ...]
     generation: int = 0
     elites: dict[str, list[Point]] = {}
+    kept: list[Point] = []
     outcomes: list[FlightOutcome] = []
 
     @property
@@ -64,8 +68,7 @@ class Search(Struct, kw_only=True):
 
     @property
     def violations(self) -> int:
-        """Flights with a violation or an exception."""
-        return sum(outcome.violation or bool(outcome.exception) for outcome in self.outcomes)
+        return sum(map(is_violation, self.outcomes))
 
     def next_jobs(self) -> list[Job]:
         """The next generation of all families."""
@@ -87,8 +90,10 @@ class Search(Struct, kw_only=True):
     def take(self, jobs: Sequence[Job], outcomes: Sequence[FlightOutcome]) -> None:
         """The outcomes of a whole generation."""
         for job, outcome in zip(jobs, outcomes, strict=True):
-            elites = self.elites.setdefault(outcome.family, [])
-            elites.append(Point(job.choices, outcome))
+            point, elites = Point(job.choices, outcome), self.elites.setdefault(outcome.family, [])
+            elites.append(point)
+            if is_violation(outcome) or (outcome.braked and not outcome.liars):
+                self.kept.append(point)
         for elites in self.elites.values():
             elites.sort(key=lambda point: point.score)
             del elites[ELITES:]
@@ -98,6 +103,11 @@ class Search(Struct, kw_only=True):
     def worst(self, count: int) -> list[Point]:
         """Of all families, the worst first."""
         return sorted((one for elites in self.elites.values() for one in elites), key=lambda point: point.score)[:count]
+
+
+def is_violation(outcome: FlightOutcome) -> bool:
+    """A flight with a violation or an exception."""
+    return outcome.violation or bool(outcome.exception)
 
 
 def score_of(outcome: FlightOutcome) -> float:

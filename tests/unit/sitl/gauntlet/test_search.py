@@ -83,6 +83,24 @@ def test_the_search_comes_nearer_than_as_many_random_flights(tmp_path: Path) -> 
     assert [point.score for point in search.worst(5)] == sorted(point.score for point in search.worst(5))
 
 
+def test_a_flight_with_a_violation_can_be_flown_again_when_worse_ones_were_found(tmp_path: Path) -> None:
+    search = Search(seed=1, sensors="ideal", families=("exchange",))
+    first = search.next_jobs()
+    while search.generation < 3:
+        jobs = search.next_jobs()
+        found = [outcome(job, 0.9 - 0.01 * search.generation) for job in jobs]
+        found[1:4] = [
+            msgspec.structs.replace(outcome(jobs[1], 1.5), braked=[2]),
+            msgspec.structs.replace(outcome(jobs[2], 1.5), braked=[2], liars=[3]),
+            msgspec.structs.replace(outcome(jobs[3], 1.5), exception="Traceback"),
+        ]
+        search.take(jobs, [msgspec.structs.replace(one, violation=(one.ratio or 0.0) < 1.0) for one in found])
+    write_search(tmp_path, search)
+    search = read_search(tmp_path)
+    assert len(search.kept) == 3 * (len(first) - 1) and search.violations == 3 * (len(first) - 2)
+    assert [point.choices for point in search.kept[:3]] == [first[place].choices for place in (0, 1, 3)]
+
+
 def test_a_search_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(UnusableError, match=r"^--resume: .*search.json: expected the state of a search"):
         read_search(tmp_path)
