@@ -112,3 +112,23 @@ def test_nobody_follows_a_revoked_liar_after_a_second() -> None:
     flight.go_on(2.0)
     errors_m = flight.errors_m()
     assert all(errors_m[i] < max(0.3, 0.5 * drawn_m[i]) for i in (1, 2, 3)), (drawn_m, errors_m)
+
+
+def test_who_says_that_it_may_lie_anywhere_below_pushes_nobody_through_a_low_ceiling() -> None:
+    """separation_m above that ground is above the ceiling. They make way up to the clearance from it, and no farther."""
+    says = [
+        {"vehicle": 4, "says": "position", "kind": "drift", "over_s": 5.0, "by_enu": [0.0, 0.0, -1.5], "from_s": 15.0},
+        {"vehicle": 4, "says": "disarmed", "from_s": 21.0},
+        {"vehicle": 4, "says": "error", "by": 25.0, "from_s": 21.0},
+    ]
+    sooner = {"stand_in.sensors": "ideal", "stand_in.armable_after_s": 1.0, "timeline[3].for_s": 20.0}
+    low = {
+        "reference.point_enu_m": [0.0, 0.0, 1.5],
+        "fleet.takeoff_height_m": 1.5,
+        "fleet.separation_m": 2.0,
+        "fleet.envelope.fence_max_enu_m": [40.0, 30.0, 1.9],
+        "fleet.envelope.clearance_m": 0.2,
+    }
+    flight = fly(LINE, overrides={**sooner, **low, "links.lies": says})
+    others = [index for index, vehicle in enumerate(flight.vehicles) if vehicle != 4]
+    assert flight.positions_enu_m[:, others, 2].max() == pytest.approx(1.7, abs=0.01)

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 
 from companion.core.autopilot import LAG_S
 from companion.core.consensus.peers import PeerState
+from companion.core.filter.solver import MARGIN, VEHICLE, Rank
 from companion.geometry.formations import HEIGHT_WEIGHT
 from companion.geometry.vectors import shortened
 from companion.types.autopilot import PositionError, VehicleState
@@ -191,6 +192,7 @@ TRAFFIC_SILENCE = Silence(
 NO_ERROR = PositionError(0.0, 0.0)
 # A vehicle without GPS may have landed anywhere within its error, up to this: at 0.06 m/s^2 it is there after half a minute.
 LARGEST_ON_GROUND_M = 30.0
+UNSURE_M = 1.0  # with a larger error it matters less than obstacles and fence: only few of the places are true
 ON_GROUND_M = 1.0  # disarmed and no higher than that above the own place of take-off, a vehicle lies on the ground
 
 
@@ -204,7 +206,7 @@ class Other(Struct, frozen=True, gc=False):
     A peer that is not fresh keeps its acceleration: an autopilot without setpoints keeps its attitude at first.
     `silence`: how it may fly where its state is too old, else None.
     `slot` is None for a vehicle that does not cooperate with this one; one that `makes_way` may still keep off by itself.
-    `side` is the sign of its number compared with the own one.
+    `side` is the sign of its number compared with the own one. `rank`: of its constraint without margins.
     """
 
     key: int | str
@@ -217,6 +219,7 @@ class Other(Struct, frozen=True, gc=False):
     slot: FlownSlot | None
     makes_way: bool
     side: float
+    rank: Rank = VEHICLE
 
 
 class Motions:
@@ -264,21 +267,20 @@ class Motions:
         behind_split: frozenset[int] = frozenset(),
     ) -> list[Other]:
         """The peers nearby. `cooperates`: this vehicle flies in formation, so peers expect its share."""
-        elapsed_s, self._peers_s = now_s - self._peers_s, now_s
+        elapsed_s, self._peers_s, begins_s = now_s - self._peers_s, now_s, self._silence.begins_s
         lag_share = 1.0 - LAG_S / (LAG_S + elapsed_s)
-        near, before, begins_s = [], self._lagged_enu_m_s2, self._silence.begins_s
+        (x, y, z), near, before = vehicle.position_enu_m, [], self._lagged_enu_m_s2
         commanded: dict[int, Vector3] = {}
-        x, y, z = vehicle.position_enu_m
         for peer_id, peer in peers.items():
             packet, age_s = peer.packet, now_s - peer.measured_s
             there_enu_m, moving_enu_m_s = packet.motion.position_enu_m, packet.motion.velocity_enu_m_s
             acceleration = packet.motion.acceleration_enu_m_s2
-            is_fresh, error = peer_id in fresh, packet.position_error or NO_ERROR
+            is_fresh, error, rank = peer_id in fresh, packet.position_error or NO_ERROR, VEHICLE
             if age_s > FORGOTTEN_S:
                 continue
             if not packet.armed:
                 follows_s = age_s if age_s <= begins_s and not peer.contradicts else None
-                there_enu_m, moving_enu_m_s, error = _nearest_disarmed(vehicle, packet, error, follows_s)
+                there_enu_m, moving_enu_m_s, error, rank = _nearest_disarmed(vehicle, packet, error, follows_s)
             px, py, pz = there_enu_m
             if abs(x - px) >= NEAR_M or abs(y - py) >= NEAR_M or abs(z - pz) >= NEAR_M:
                 reaches_m_s = moving_enu_m_s if is_fresh else _reached_in_silence(moving_enu_m_s, acceleration)
@@ -310,6 +312,7 @@ class Motions:
                 packet.slot if cooperates and makes_way else None,
                 makes_way=makes_way,
                 side=1.0 if self._own_id < peer_id else -1.0,
+                rank=rank,
             )
             near.append(other)
         self._lagged_enu_m_s2 = commanded
@@ -318,8 +321,8 @@ class Motions:
 
 def _nearest_disarmed(
     vehicle: VehicleState, packet: PeerPacket, error: PositionError, follows_s: float | None
-) -> tuple[Vector3, Vector3, PositionError]:
-    """(position, velocity, error) of a disarmed vehicle: on the ground, of the place where it may be nearest to this one.
+) -> tuple[Vector3, Vector3, PositionError, Rank]:
+    """(position, velocity, error, rank) of a disarmed vehicle: on the ground, of the place where it may be nearest to this one.
 
     Its height is known, its place only within the error: this one keeps above it, and need not fly round all of the error.
     Above this circle it moves along with this vehicle: the place of `follows_s` ago, if it will be taken ahead by that time.
@@ -327,14 +330,15 @@ def _nearest_disarmed(
     (x, y, _), (vx, vy, _) = vehicle.position_enu_m, vehicle.velocity_enu_m_s
     (px, py, pz), ground_enu_m = packet.motion.position_enu_m, vehicle.ground_position_enu_m
     if ground_enu_m is None or pz >= ground_enu_m[2] + ON_GROUND_M:
-        return packet.motion.position_enu_m, packet.motion.velocity_enu_m_s, error
+        return packet.motion.position_enu_m, packet.motion.velocity_enu_m_s, error, VEHICLE
+    rank = MARGIN if error.horizontal_m > UNSURE_M else VEHICLE
     dx, dy = x - px, y - py
     level_m, reach_m = hypot(dx, dy), min(error.horizontal_m, LARGEST_ON_GROUND_M)
     if level_m > reach_m:
-        return (px + reach_m / level_m * dx, py + reach_m / level_m * dy, pz), ZERO3, NO_ERROR
+        return (px + reach_m / level_m * dx, py + reach_m / level_m * dy, pz), ZERO3, NO_ERROR, rank
     if follows_s is None:
-        return (x, y, pz), ZERO3, NO_ERROR
-    return (x - follows_s * vx, y - follows_s * vy, pz), (vx, vy, 0.0), NO_ERROR
+        return (x, y, pz), ZERO3, NO_ERROR, rank
+    return (x - follows_s * vx, y - follows_s * vy, pz), (vx, vy, 0.0), NO_ERROR, rank
 
 
 def traffic_nearby(now_s: float, vehicle: VehicleState, traffic: Mapping[str, ReceivedTraffic]) -> list[Other]:

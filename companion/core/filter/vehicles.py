@@ -37,7 +37,7 @@ from msgspec import Struct
 
 from companion.core.autopilot import LAG_S
 from companion.core.filter.motion import Ahead, Motion, Other, Silence, column_m, nearest_on_way
-from companion.core.filter.solver import MARGIN, VEHICLE, Constraint
+from companion.core.filter.solver import MARGIN, Constraint
 from companion.geometry.curves import approach_speed
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.formation import FlownSlot, Gains
@@ -172,14 +172,14 @@ class Separation:
         if other.age_s > BELIEVED_S and towards_m_s2 < 0.0:
             towards_m_s2 = 0.0
         own_m_s2 = least_m_s2 + towards_m_s2
-        nx, ny, mz, rank, without_margins = nx / size, ny / size, mz / size, VEHICLE, None
+        nx, ny, mz, rank, without_margins = nx / size, ny / size, mz / size, other.rank, None
         if slot_of_other is not None:
             if own_m_s2 < 0.5 * least_m_s2:
                 own_m_s2 = 0.5 * least_m_s2
         elif margins_m > 0.0:
             allowed_m_s, slope_1_s = approach_speed(margin_m + margins_m, braking_m_s2, SLOPE_1_S, FASTEST_LEAVING_M_S)
             least_m_s2 = RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2
-            rank, without_margins = MARGIN, (nx, ny, mz, (least_m_s2 + towards_m_s2) / size, VEHICLE)
+            rank, without_margins = MARGIN, (nx, ny, mz, (least_m_s2 + towards_m_s2) / size, other.rank)
         constraint = (nx, ny, mz, own_m_s2 / size, rank)
         return Barrier(constraint, other, offset_enu_m, required_m, margin_m, without_margins)
 

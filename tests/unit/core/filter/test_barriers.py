@@ -199,6 +199,10 @@ def test_without_the_margins_less_is_asked_by_a_higher_rank(own: Ahead, one: Oth
     assert found.constraint_without_margins == pytest.approx(exact.constraint)
     assert found.constraint[3] >= exact.constraint[3]
     assert found.required_m > exact.required_m
+    anywhere = barrier(own, replace(one, rank=Rank.MARGIN))  # where it is is a margin as a whole
+    assert anywhere.constraint == pytest.approx((*exact.constraint[:4], Rank.MARGIN))
+    uncertain = barrier(own, replace(one, rank=Rank.MARGIN, error=PositionError(0.3, 0.2))).constraint_without_margins
+    assert uncertain is not None and uncertain[4] is Rank.MARGIN
 
 
 def test_a_silent_vehicle_counts_where_it_may_be_and_not_ahead_of_that() -> None:

@@ -20,6 +20,7 @@ from companion.core.filter.motion import (
     nearest_on_way,
     traffic_nearby,
 )
+from companion.core.filter.solver import Rank
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot
@@ -261,6 +262,17 @@ def test_a_vehicle_on_the_ground_may_be_nearer_by_its_error() -> None:
     assert on_ground(1e3, own=far).last[0] == pytest.approx((18.0, 24.0, 0.1)), (
         "no packet claims more than 30 m of ground"
     )
+
+
+def test_a_vehicle_that_may_lie_anywhere_within_metres_comes_after_obstacles_and_fence() -> None:
+    assert [on_ground(error_m).rank for error_m in (0.0, 1.0, 1.01, 6.0)] == [
+        Rank.VEHICLE,
+        Rank.VEHICLE,
+        Rank.MARGIN,
+        Rank.MARGIN,
+    ]
+    assert on_ground(2.0, age_s=0.31).rank is Rank.MARGIN
+    assert {on_ground(6.0, armed=True).rank, on_ground(6.0, (0.0, 0.0, 1.2)).rank} == {Rank.VEHICLE}
 
 
 def test_the_place_of_a_silent_vehicle_on_the_ground_does_not_coast() -> None:
