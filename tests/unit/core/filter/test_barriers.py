@@ -513,6 +513,7 @@ def test_a_vehicle_pulls_gently_towards_one_that_is_near() -> None:
     assert eased(wanted, [near(EAST, (0.5, 9.0, 9.0))]) == pytest.approx((-1.5, 3.0, 1.0))
     assert eased(wanted, [near((0.6, 0.0, -0.8), (0.0, -9.0, 0.0))]) == pytest.approx((-3.92, 3.0, -0.44))
     assert eased(wanted, [near((0.6, 0.0, -0.8), (-1.0, 0.0, 1.0))]) == pytest.approx((-4.76, 3.0, 0.68))
+    assert eased((-5.0, -3.0, 1.0), [near((0.6, 0.8, 0.0), (0.0, 1.0, 0.0))]) == pytest.approx((-2.48, 0.36, 1.0))
     assert eased((-30.0, 0.0, 0.0), [near(EAST, margin_m=4.49)]) == pytest.approx((-19.96, 0.0, 0.0))
 
 
@@ -525,6 +526,7 @@ def test_the_order_of_the_others_changes_no_pull() -> None:
 def test_a_false_acceleration_leaves_a_pull_of_1_m_s2() -> None:
     wanted = (-5.0, 3.0, 1.0)
     assert eased(wanted, [near(EAST, (15.0, 0.0, 0.0))]) == pytest.approx((-1.0, 3.0, 1.0))
+    assert eased(wanted, [near(EAST, (2.5, 0.0, 0.0))]) == pytest.approx((-1.0, 3.0, 1.0))
     assert eased(wanted, [near(EAST, (15.0, 0.0, 0.0), margin_m=0.25)]) == pytest.approx((-2.0, 3.0, 1.0))
     assert eased(wanted, [near(EAST, (-15.0, 0.0, 0.0))]) is wanted
     gentle = (-1.0, 0.0, 0.0)

@@ -18,6 +18,7 @@ from companion.core.filter.vehicles import (
     Barrier,
     Separation,
     SeparationSettings,
+    eased,
     largest_removed_m_s2,
     turn_right,
 )
@@ -197,10 +198,10 @@ def by_hand(
     asked = [barrier.constraint for barrier in barriers]
     asked += [b.constraint_without_margins for b in barriers if b.constraint_without_margins]
     asked += BOUNDS.constraints(ahead, own.ground_position_enu_m) + speed
-    allowed = filter_acceleration(slowed, asked, LIMITS, 15 if below else 5)
+    allowed = filter_acceleration(eased(slowed, barriers), asked, LIMITS, 15 if below else 5)
     x, y = turn_right(slowed, own.velocity_enu_m_s, GAINS, barriers)
     if x or y:
-        turned = filter_acceleration((allowed[0] + x, allowed[1] + y, allowed[2]), asked, LIMITS, 3)
+        turned = filter_acceleration((allowed[0] + x, allowed[1] + y, allowed[2]), asked, LIMITS, 15 if below else 3)
         allowed = better_kept(turned, allowed, asked)
     return allowed, largest_removed_m_s2(slowed, barriers)
 
@@ -226,12 +227,13 @@ CASES = {  # own state, own slot, the other vehicle, and whether it is fresh
 }
 
 
+@pytest.mark.parametrize("pull_m_s2", [1.5, 9.0])
 @pytest.mark.parametrize("name", CASES)
-def test_the_stage_gives_what_its_parts_give_one_after_another(name: str) -> None:
+def test_the_stage_gives_what_its_parts_give_one_after_another(name: str, pull_m_s2: float) -> None:
     own, slot, other, is_fresh = CASES[name]
     known = {2: other}
     fresh = known if is_fresh else {}
-    wanted = (1.5, 0.1, 0.2)
+    wanted = (pull_m_s2, 0.1, 0.2)
     found = stage().step(NOW_S, own, slot, known, fresh, wanted, ZERO3, ZERO3)
     expected, removed_m_s2 = by_hand(own, slot, known, fresh, wanted)
     assert found.acceleration_enu_m_s2 == pytest.approx(expected) != wanted
@@ -261,7 +263,7 @@ def test_the_turn_gets_three_steps_between_walls_that_contradict_each_other() ->
 
 @pytest.mark.parametrize(
     ("margins_m", "steps", "turn_steps"),
-    [((0.29, 0.29, 0.29), 15, 15), ((0.29, 0.31, 0.29), 5, 3), ((0.29, 0.29), 5, 3)],
+    [((0.29, 0.29, 0.29), 15, 15), ((0.29, 0.3, 0.29), 5, 3), ((0.29, 0.29), 5, 3)],
 )
 def test_between_three_vehicles_all_of_them_count(margins_m: tuple[float, ...], steps: int, turn_steps: int) -> None:
     """The northern one of three that ask for more than can be flown; and walls on the way out."""
