@@ -5,6 +5,8 @@ its neighbour and brakes. `split_exchange`: the network splits for 4.5 s while t
 likewise six, which evaded to where the others did not believe them, 0.38. `split_square`: two pairs exchange slots beside
 each other, and those in the middle brake already; they flew back towards each other, 0.98. `split_of_three`: two of eight
 that fly at 2 m/s are cut off alone; each kept off where the others had been when they were last heard, 0.86.
+`split_in_a_turn`: five turn at 5.4 m/s, and the middle one is cut off alone; it evaded to where the others were not, since it
+took them to brake straight on from their last packet, and the next one passed the end of the places where it may be, 0.33.
 `squeezed`: to its new slot a vehicle flies between three, two of which hold; it swung between them, 0.90.
 `jammed`: vehicles that cross each other on the way to their slots, and one that hovers there, block each other; with 5 m/s^2 of
 pull they swung at the rate limit of their attitudes, 0.98.
@@ -49,6 +51,7 @@ def flown(case: str) -> tuple[Scenario, Flown]:
         ("split_of_six", 1.0),
         ("split_square", 1.0),
         ("split_of_three", 1.0),
+        ("split_in_a_turn", 1.0),
         ("squeezed", 1.0),
         ("jammed", 1.0),
         ("late_while_evading", 1.0),

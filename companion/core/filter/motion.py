@@ -74,20 +74,22 @@ class Silence(Struct, frozen=True, gc=False):
 def nearest_on_way(own: Ahead, last: Motion, age_s: float, ahead_s: float, silence: Silence, weight: float) -> Motion:
     """The point nearest to this vehicle of all where a silent one may be `ahead_s` from now, and how that point moves.
 
-    `last` is `age_s` old. The way is a straight line from where the vehicle brakes at once to where it coasts. It grows from
-    the expected position within GROWS_S, so nothing jumps. Between its ends the point follows this vehicle along the way.
-    `weight` is that of heights.
+    `last` is `age_s` old. The way is a straight line from where the vehicle brakes at once to where it coasts; behind a split
+    from where it brakes when it knows to where it brakes a little later. It grows from the expected position within GROWS_S, so
+    nothing jumps. Between its ends the point follows this vehicle along the way. `weight` is that of heights.
     """
     at_s, most_m_s = age_s + ahead_s, silence.most_m_s
     plausible = (last[0], shortened(last[1], most_m_s), last[2])
-    braked = braking(plausible, at_s, silence.brakes_s, silence.braking_m_s2)
     if silence.coasts:
+        braked = braking(plausible, at_s, silence.brakes_s, silence.braking_m_s2)
         coasted = _coasting(plausible, at_s, silence.kept_s, most_m_s)
     else:
-        coasted = braking(plausible, at_s, silence.kept_s, silence.braking_m_s2)
+        knows, after_s = _ahead_at(plausible, silence.brakes_s, ahead_s), age_s - silence.brakes_s
+        braked = braking(knows, after_s, 0.0, silence.braking_m_s2)
+        coasted = braking(knows, after_s, silence.kept_s - silence.brakes_s, silence.braking_m_s2)
     part = (age_s - silence.begins_s) / GROWS_S
     if part < 1.0:
-        expected = _expected(last, at_s)
+        expected = _expected(last, silence.begins_s + ahead_s, age_s - silence.begins_s)
         braked, coasted = _grown(expected, braked, part), _grown(expected, coasted, part)
     (x, y, z), (px, py, pz), (qx, qy, qz) = own.position_enu_m, braked[0], coasted[0]
     dx, dy, dz = qx - px, qy - py, (qz - pz) * weight
@@ -116,11 +118,24 @@ def column_m(required_m: float, above_m: float, silent_s: float, weight: float) 
     return (growing_m, COLUMN_M_S) if growing_m < below_m else (below_m, below_m_s)
 
 
-def _expected(last: Motion, at_s: float) -> Motion:
-    """As a fresh vehicle is extrapolated."""
+def _expected(last: Motion, at_s: float, after_s: float) -> Motion:
+    """As a fresh vehicle is extrapolated up to `at_s`, and `after_s` straight on."""
     (x, y, z), (vx, vy, vz), (ax, ay, az) = last
-    there_enu_m = (x + vx * at_s, y + vy * at_s, z + vz * at_s)
-    return there_enu_m, (vx + ax * at_s, vy + ay * at_s, vz + az * at_s), last[2]
+    wx, wy, wz = vx + ax * at_s, vy + ay * at_s, vz + az * at_s
+    there_enu_m = (x + vx * at_s + wx * after_s, y + vy * at_s + wy * after_s, z + vz * at_s + wz * after_s)
+    return there_enu_m, (wx, wy, wz), last[2]
+
+
+def _ahead_at(last: Motion, at_s: float, ahead_s: float) -> Motion:
+    """The motion after this time with the same acceleration, ahead by the lag as `Motions.own` takes it."""
+    (x, y, z), (vx, vy, vz), (ax, ay, az) = last
+    x, y, z = x + at_s * (vx + 0.5 * at_s * ax), y + at_s * (vy + 0.5 * at_s * ay), z + at_s * (vz + 0.5 * at_s * az)
+    vx, vy, vz = vx + at_s * ax, vy + at_s * ay, vz + at_s * az
+    return (
+        (x + ahead_s * vx, y + ahead_s * vy, z + ahead_s * vz),
+        (vx + ahead_s * ax, vy + ahead_s * ay, vz + ahead_s * az),
+        last[2],
+    )
 
 
 def braking(last: Motion, at_s: float, brakes_s: float, braking_m_s2: float) -> Motion:
@@ -300,7 +315,7 @@ class Motions:
                 silence = self._in_doubt
             elif packet.armed and packet.phase not in STREAMING:
                 silence = self._piloted if packet.phase is OBSERVE else self._on_its_own
-            makes_way = is_fresh and packet.phase is FORMATION
+            follows = is_fresh and packet.phase is FORMATION
             other = Other(
                 peer_id,
                 (there_enu_m, moving_enu_m_s, acceleration),
@@ -309,8 +324,8 @@ class Motions:
                 silence,
                 error,
                 HEIGHT_WEIGHT if packet.armed else 1.0,  # no downwash reaches a vehicle on the ground
-                packet.slot if cooperates and makes_way else None,
-                makes_way=makes_way,
+                packet.slot if cooperates and follows else None,
+                makes_way=follows or peer_id in behind_split,
                 side=1.0 if self._own_id < peer_id else -1.0,
                 rank=rank,
             )

@@ -147,8 +147,8 @@ class Separation:
             nx, ny, nz = (*self._sideways_of(other, rx, ry), 0.0)
         closing_m_s = -(nx * wx + ny * wy + nz * wz)
         across_m_s2 = (wx * wx + wy * wy + wz * wz - closing_m_s * closing_m_s) / (apart_m + NEAREST_M)
-        if nz == 0.0 and apart_m <= self._close_m:
-            across_m_s2 = 0.0  # the direction does not turn
+        if (nz == 0.0 and apart_m <= self._close_m) or (other.silence is not None and other.silence.begins_s > 0.0):
+            across_m_s2 = 0.0  # the direction does not turn; who passes one end of a way may come to its middle
         mz, offset_enu_m = nz * weight, (rx, ry, rz)
         required_m = self._required(error, slot, other, offset_enu_m, mz)
         late_m, braking_m_s2 = UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0, self._braking_together_m_s2

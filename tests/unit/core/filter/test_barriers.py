@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from itertools import permutations
-from math import hypot, sqrt
+from math import hypot, inf, sqrt
 
 import pytest
 from msgspec.structs import replace
 
-from companion.core.filter.motion import Ahead, Other, Silence, nearest_on_way
+from companion.core.filter.motion import Ahead, Motion, Other, Silence, nearest_on_way
 from companion.core.filter.solver import Rank
 from companion.core.filter.vehicles import (
     KEPT_M,
@@ -206,16 +206,30 @@ def test_without_the_margins_less_is_asked_by_a_higher_rank(own: Ahead, one: Oth
 
 
 def test_a_silent_vehicle_counts_where_it_may_be_and_not_ahead_of_that() -> None:
-    """One that brakes before this one: as a fresh one would whose packet, by its lag younger, says so."""
+    """One that brakes before this one: as a fresh one would whose packet, by its lag younger, says so.
+
+    But for the turn of the line to it: the place is the end of a way, and who passes the end may come to the middle.
+    """
     silence = Silence(0.3, 0.0, 1.0, BRAKING_M_S2, 8.0)
-    own, last = Ahead((-4.0, 0.5, 0.3), (1.0, 0.2, 0.0)), ((0.0, 0.0, 0.0), (3.0, 0.0, 0.1), (0.3, 0.0, 0.0))
-    point = nearest_on_way(own, last, 0.9, LAG_S, silence, 1.0)
-    assert point[1][0] > 1.0 and point[2][0] < 0.0
-    silent = barrier(own, other(*last, age_s=0.9, silence=silence))
-    same = barrier(own, other(*point, age_s=-LAG_S))
+    last: Motion = ((0.0, 0.0, 0.0), (3.0, 0.0, 0.1), (0.3, 0.0, 0.0))
+    at_enu_m, off_m_s = (-4.0, 0.5, 0.3), (0.0, 0.4, 0.0)
+    place, flies, slows = nearest_on_way(Ahead(at_enu_m, ZERO3), last, 0.9, LAG_S, silence, 1.0)
+    assert flies[0] > 1.0 and slows[0] < 0.0
+    towards = [0.3 * (there - here) for there, here in zip(place, at_enu_m, strict=True)]
+    straight, aside = [
+        Ahead(at_enu_m, tuple(a + b + share * c for a, b, c in zip(flies, towards, off_m_s, strict=True)))
+        for share in (0.0, 1.0)
+    ]
+    silent = barrier(straight, other(*last, age_s=0.9, silence=silence))
+    same = barrier(straight, other(place, flies, slows, age_s=-LAG_S))
     assert silent.constraint == pytest.approx(same.constraint)
     assert silent.required_m == pytest.approx(same.required_m)
     assert silent.offset_enu_m == pytest.approx(same.offset_enu_m)
+    silent = barrier(aside, other(*last, age_s=0.9, silence=silence))
+    same = barrier(aside, other(place, flies, slows, age_s=-LAG_S))
+    assert same.required_m > silent.required_m and silent.constraint[3] > same.constraint[3] + 0.01
+    heard = replace(silence, begins_s=-inf)
+    assert barrier(aside, other(*last, age_s=0.9, silence=heard)).constraint == pytest.approx(same.constraint)
 
 
 # ---------------------------------------------------------------- the distance that is kept

@@ -231,5 +231,6 @@ def test_a_vehicle_behind_a_split_brakes_when_it_knows_and_not_before() -> None:
     motions = Motions(2, Silence(FRESH_S, 0.0, KEPT_S, BRAKING_M_S2))
     for behind_split, brakes_s, kept_s in ((frozenset({1}), FRESH_S, FRESH_S + 0.2), (frozenset[int](), 0.0, KEPT_S)):
         (other,) = motions.peers(NOW_S, EAST, True, {1: silent(1, 0.35)}, {}, behind_split)
+        assert other.makes_way is bool(behind_split) and other.slot is None
         assert other.silence is not None
         assert (other.silence.brakes_s, other.silence.kept_s) == (brakes_s, kept_s)
