@@ -12,6 +12,7 @@ took them to brake straight on from their last packet, and the next one passed t
 pull they swung at the rate limit of their attitudes, 0.98.
 `all_links_lost`: four that fly a circle no longer receive each other; all evaded, and the leader came upon a vehicle in hold,
 0.1. `late_while_evading`: telemetry becomes 0.16 s late while four cross; the autopilot went on with an evasion, 0.69.
+`late_on_the_way`: likewise 1 s; ArduCopter brakes by the last setpoint for a second, then coasts, farther than expected, 0.93.
 `landed_without_gps`: a vehicle that lost GPS has landed 6 m from where it believes to be, and another one flies there, 0.97.
 `pressed_up`: a pilot climbs from straight below a vehicle that is 0.1 m under the fence's ceiling less the clearance.
 `return_in_turn`: of three abreast that fly on, the leader without successors returns, and 1 s later its neighbour, whose path
@@ -55,6 +56,7 @@ def flown(case: str) -> tuple[Scenario, Flown]:
         ("squeezed", 1.0),
         ("jammed", 1.0),
         ("late_while_evading", 1.0),
+        ("late_on_the_way", 1.0),
         ("all_links_lost", 1.0),
         ("landed_without_gps", 1.0),
         ("pressed_up", 1.0),

@@ -162,8 +162,11 @@ def braking(last: Motion, at_s: float, brakes_s: float, braking_m_s2: float) -> 
 
 
 def _coasting(last: Motion, at_s: float, kept_s: float, most_m_s: float) -> Motion:
-    """The attitude is kept, then level; heights are held then."""
+    """The attitude is kept, or level where it brakes; then level. Heights are held then."""
     (x, y, z), (vx, vy, vz), (ax, ay, _) = last
+    if (along := ax * vx + ay * vy) < 0.0:
+        slows_1_s = along / (vx * vx + vy * vy)
+        ax, ay = ax - slows_1_s * vx, ay - slows_1_s * vy
     keeps_s = min(at_s, kept_s)
     added_s2 = 0.5 * keeps_s * keeps_s
     there_enu_m = (x + keeps_s * vx + added_s2 * ax, y + keeps_s * vy + added_s2 * ay, z + keeps_s * vz)

@@ -63,6 +63,15 @@ def test_the_attitude_is_kept_at_first() -> None:
     assert velocity == pytest.approx((4.0, 1.8, 0.0))
 
 
+def test_one_that_brakes_may_level_and_coast_on_at_once() -> None:
+    """Across its way the attitude is kept: what slows it down may have ended with the last setpoint."""
+    slows: Motion = ((1.0, 2.0, 3.0), (3.0, 4.0, 0.0), (-3.0, 0.0, 0.0))
+    position, velocity, acceleration = nearest((500.0, 500.0, 3.0), slows, 0.9)
+    assert position == pytest.approx((1.0 + 2.7 - 0.405 * 1.92, 2.0 + 3.6 + 0.405 * 1.44, 3.0))
+    assert velocity == pytest.approx((3.0 - 0.9 * 1.92, 4.0 + 0.9 * 1.44, 0.0))
+    assert acceleration == pytest.approx((-1.92, 1.44, 0.0))
+
+
 def test_a_vehicle_behind_a_split_stops_as_soon_as_it_knows() -> None:
     """At 4 m/s it flies on for half a second, then brakes with 2 m/s^2: it does not coast."""
     waits = replace(PEER, kept_s=0.5, coasts=False)
