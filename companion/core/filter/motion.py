@@ -35,6 +35,7 @@ class Ahead(Struct, frozen=True, gc=False):
 KEPT_S = 1.0  # an autopilot without setpoints keeps its attitude for so long
 # Decay of the speed of a level multirotor: drag of a small open quadrotor, less than most (analysis/pace.py).
 COAST_1_S = 0.25
+LEAST_M2_S3 = 1e-9  # a vehicle that slows down by less, times its speed, stands: the square of its speed may be 0
 GROWS_S = 0.4  # in this time the region of a silent vehicle grows from the expected position to all its way
 DESCENT_M_S = 1.5  # speed of an autopilot landing: PX4 MPC_Z_V_AUTO_DN, more than its MPC_LAND_SPEED of 0.7
 KNOWS_S = 0.2  # from the split on; packets are late, and the attitude lags
@@ -164,7 +165,7 @@ def braking(last: Motion, at_s: float, brakes_s: float, braking_m_s2: float) -> 
 def _coasting(last: Motion, at_s: float, kept_s: float, most_m_s: float) -> Motion:
     """The attitude is kept, or level where it brakes; then level. Heights are held then."""
     (x, y, z), (vx, vy, vz), (ax, ay, _) = last
-    if (along := ax * vx + ay * vy) < 0.0:
+    if (along := ax * vx + ay * vy) < -LEAST_M2_S3:
         slows_1_s = along / (vx * vx + vy * vy)
         ax, ay = ax - slows_1_s * vx, ay - slows_1_s * vy
     keeps_s = min(at_s, kept_s)

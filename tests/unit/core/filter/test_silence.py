@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import dist, hypot
+from math import dist, hypot, isfinite
 
 import pytest
 from hypothesis import given
@@ -70,6 +70,16 @@ def test_one_that_brakes_may_level_and_coast_on_at_once() -> None:
     assert position == pytest.approx((1.0 + 2.7 - 0.405 * 1.92, 2.0 + 3.6 + 0.405 * 1.44, 3.0))
     assert velocity == pytest.approx((3.0 - 0.9 * 1.92, 4.0 + 0.9 * 1.44, 0.0))
     assert acceleration == pytest.approx((-1.92, 1.44, 0.0))
+
+
+@pytest.mark.parametrize("speed_m_s", [5e-324, 1e-200, 1e-160, 1e-12])
+def test_a_speed_whose_square_is_0_does_no_harm(speed_m_s: float) -> None:
+    stands: Motion = ((1.0, 2.0, 3.0), (speed_m_s, speed_m_s, 0.0), (-200.0, 0.0, 0.0))
+    for own_enu_m in (FAR_BEHIND, FAR_AHEAD, (1.0, 2.0, 3.0)):
+        for waits in (PEER, replace(PEER, kept_s=0.5, coasts=False)):
+            for age_s in (0.3, 0.5, 0.9, 5.0):
+                found = nearest(own_enu_m, stands, age_s, waits)
+                assert all(isfinite(value) and abs(value) < 1e4 for vector in found for value in vector)
 
 
 def test_a_vehicle_behind_a_split_stops_as_soon_as_it_knows() -> None:
