@@ -65,11 +65,13 @@ def test_the_attitude_is_kept_at_first() -> None:
 
 def test_one_that_brakes_may_level_and_coast_on_at_once() -> None:
     """Across its way the attitude is kept: what slows it down may have ended with the last setpoint."""
-    slows: Motion = ((1.0, 2.0, 3.0), (3.0, 4.0, 0.0), (-3.0, 0.0, 0.0))
+    slows: Motion = ((1.0, 2.0, 3.0), (3.0, 4.0, 0.0), (-4.0, 0.75, 0.0))
     position, velocity, acceleration = nearest((500.0, 500.0, 3.0), slows, 0.9)
-    assert position == pytest.approx((1.0 + 2.7 - 0.405 * 1.92, 2.0 + 3.6 + 0.405 * 1.44, 3.0))
-    assert velocity == pytest.approx((3.0 - 0.9 * 1.92, 4.0 + 0.9 * 1.44, 0.0))
-    assert acceleration == pytest.approx((-1.92, 1.44, 0.0))
+    assert position == pytest.approx((1.0 + 2.7 - 0.405 * 2.92, 2.0 + 3.6 + 0.405 * 2.19, 3.0))
+    assert velocity == pytest.approx((3.0 - 0.9 * 2.92, 4.0 + 0.9 * 2.19, 0.0))
+    assert acceleration == pytest.approx((-2.92, 2.19, 0.0))
+    speeds: Motion = ((1.0, 2.0, 3.0), (3.0, 4.0, 0.0), (-1.0, 0.8, 0.0))
+    assert nearest((500.0, 500.0, 3.0), speeds, 0.9)[2] == (-1.0, 0.8, 0.0)
 
 
 @pytest.mark.parametrize("speed_m_s", [5e-324, 1e-200, 1e-160, 1e-12])
@@ -103,6 +105,8 @@ def test_a_vehicle_behind_a_split_turns_on_until_it_knows_and_brakes_straight_on
         gone_s = late_s + 0.5 * hypot(vx, vy, vz) / BRAKING_M_S2
         place = nearest_on_way(Ahead(own_enu_m, OWN_M_S), turning, 9.0, 0.2, waits, 1.0)[0]
         assert place == pytest.approx((x + gone_s * vx, y + gone_s * vy, z + gone_s * vz))
+    brakes_m_s = nearest_on_way(Ahead(FAR_BEHIND, OWN_M_S), turning, 1.3, 0.2, waits, 1.0)[1]
+    assert hypot(*brakes_m_s) == pytest.approx(hypot(vx, vy, vz) - 1.0 * BRAKING_M_S2)
 
 
 def test_of_a_vehicle_behind_a_split_no_landing_is_expected() -> None:
