@@ -83,7 +83,8 @@ def nearest_on_way(own: Ahead, last: Motion, age_s: float, ahead_s: float, silen
     plausible = (last[0], shortened(last[1], most_m_s), last[2])
     if silence.coasts:
         braked = braking(plausible, at_s, silence.brakes_s, silence.braking_m_s2)
-        coasted = _coasting(plausible, at_s, silence.kept_s, most_m_s)
+        coasts = _levelled(plausible) if silence.begins_s > 0.0 else plausible  # what is heard shows its attitude
+        coasted = _coasting(coasts, at_s, silence.kept_s, most_m_s)
     else:
         knows, after_s = _ahead_at(plausible, silence.brakes_s, ahead_s), age_s - silence.brakes_s
         braked = braking(knows, after_s, 0.0, silence.braking_m_s2)
@@ -162,12 +163,18 @@ def braking(last: Motion, at_s: float, brakes_s: float, braking_m_s2: float) -> 
     )
 
 
-def _coasting(last: Motion, at_s: float, kept_s: float, most_m_s: float) -> Motion:
-    """The attitude is kept, or level where it brakes; then level. Heights are held then."""
-    (x, y, z), (vx, vy, vz), (ax, ay, _) = last
+def _levelled(last: Motion) -> Motion:
+    """The same without what slows it down: an autopilot whose setpoints ended may have levelled since."""
+    there_enu_m, (vx, vy, vz), (ax, ay, az) = last
     if (along := ax * vx + ay * vy) < -LEAST_M2_S3:
         slows_1_s = along / (vx * vx + vy * vy)
         ax, ay = ax - slows_1_s * vx, ay - slows_1_s * vy
+    return there_enu_m, (vx, vy, vz), (ax, ay, az)
+
+
+def _coasting(last: Motion, at_s: float, kept_s: float, most_m_s: float) -> Motion:
+    """The attitude is kept, then level; heights are held then."""
+    (x, y, z), (vx, vy, vz), (ax, ay, _) = last
     keeps_s = min(at_s, kept_s)
     added_s2 = 0.5 * keeps_s * keeps_s
     there_enu_m = (x + keeps_s * vx + added_s2 * ax, y + keeps_s * vy + added_s2 * ay, z + keeps_s * vz)

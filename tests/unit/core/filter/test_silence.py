@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import dist, hypot, isfinite
+from math import dist, hypot, inf, isfinite
 
 import pytest
 from hypothesis import given
@@ -70,6 +70,8 @@ def test_one_that_brakes_may_level_and_coast_on_at_once() -> None:
     assert position == pytest.approx((1.0 + 2.7 - 0.405 * 2.92, 2.0 + 3.6 + 0.405 * 2.19, 3.0))
     assert velocity == pytest.approx((3.0 - 0.9 * 2.92, 4.0 + 0.9 * 2.19, 0.0))
     assert acceleration == pytest.approx((-2.92, 2.19, 0.0))
+    heard = replace(PEER, begins_s=-inf)
+    assert sum(nearest((500.0, 500.0, 3.0), slows, 0.9, heard)[0]) < sum(position) - 0.5
     speeds: Motion = ((1.0, 2.0, 3.0), (3.0, 4.0, 0.0), (-1.0, 0.8, 0.0))
     assert nearest((500.0, 500.0, 3.0), speeds, 0.9)[2] == (-1.0, 0.8, 0.0)
 
