@@ -83,8 +83,8 @@ def nearest_on_way(own: Ahead, last: Motion, age_s: float, ahead_s: float, silen
     plausible = (last[0], shortened(last[1], most_m_s), last[2])
     if silence.coasts:
         braked = braking(plausible, at_s, silence.brakes_s, silence.braking_m_s2)
-        coasts = _levelled(plausible) if silence.begins_s > 0.0 else plausible  # what is heard shows its attitude
-        coasted = _coasting(coasts, at_s, silence.kept_s, most_m_s)
+        began = _levelled(plausible) if silence.begins_s > 0.0 else plausible  # what is heard shows its attitude
+        coasted = _coasting(began, at_s, silence.kept_s, most_m_s)
     else:
         knows, after_s = _ahead_at(plausible, silence.brakes_s, ahead_s), age_s - silence.brakes_s
         braked = braking(knows, after_s, 0.0, silence.braking_m_s2)
@@ -326,7 +326,7 @@ class Motions:
                 silence = self._in_doubt
             elif packet.armed and packet.phase not in STREAMING:
                 silence = self._piloted if packet.phase is OBSERVE else self._on_its_own
-            follows = is_fresh and packet.phase is FORMATION
+            in_formation = is_fresh and packet.phase is FORMATION
             other = Other(
                 peer_id,
                 (there_enu_m, moving_enu_m_s, acceleration),
@@ -335,8 +335,8 @@ class Motions:
                 silence,
                 error,
                 HEIGHT_WEIGHT if packet.armed else 1.0,  # no downwash reaches a vehicle on the ground
-                packet.slot if cooperates and follows else None,
-                makes_way=follows or peer_id in behind_split,
+                packet.slot if cooperates and in_formation else None,
+                makes_way=in_formation or peer_id in behind_split,
                 side=1.0 if self._own_id < peer_id else -1.0,
                 rank=rank,
             )
