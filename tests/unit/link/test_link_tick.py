@@ -64,6 +64,16 @@ def test_steady_loop_is_never_late() -> None:
     assert timing.rss_mb > 1.0
 
 
+def test_a_slow_second_is_found_in_the_rates_after_an_hour() -> None:
+    meter, hour_s = TickMeter(0.0), 180_000 * PERIOD_S
+    ticks(meter, [n * PERIOD_S for n in range(180_001)])
+    before = meter.timing(hour_s)
+    ticks(meter, [hour_s + n * 0.021 for n in range(1, 49)])
+    after = meter.timing(hour_s + 1.1)
+    elapsed_s = (after.ticks - 1) / after.rate_hz - (before.ticks - 1) / before.rate_hz
+    assert elapsed_s == pytest.approx(48 * 0.021, abs=1e-4)
+
+
 @pytest.mark.parametrize(
     ("interval_s", "missed", "late_us"),
     [(0.019, 0, 0), (0.0205, 0, 500), (0.029, 0, 9_000), (0.040, 1, 20_000), (0.061, 2, 41_000), (1.0, 49, 980_000)],
