@@ -254,7 +254,8 @@ class TickMeter:
         elapsed_s = self._last_s - self._first_s
         wall_s = now_s - self._first_s
         return Timing(
-            rate_hz=round((self._ticks - 1) / elapsed_s, 6) if elapsed_s > 0 else 0.0,  # shows 1 ms in a day
+            # Six decimals: the rate of some seconds is told from two such means, hours after the first tick.
+            rate_hz=round((self._ticks - 1) / elapsed_s, 6) if elapsed_s > 0 else 0.0,
             ticks=self._ticks,
             missed=self._missed,
             late_us=self._late.percentiles(),
