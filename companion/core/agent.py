@@ -122,14 +122,7 @@ class Agent:
         )
         guidance = self.guidance.step(now_s, vehicle, before, consensus, intake.admitted, inbox.targets, intake.checks)
         safety = self.safeguard.step(
-            now_s,
-            vehicle,
-            before,
-            consensus,
-            self._last_separation,
-            self._last_setpoint_s,
-            last.commanded,
-            inbox,
+            now_s, vehicle, before, consensus, self._last_separation, self._last_setpoint_s, last.commanded, inbox
         )
         commands: tuple[PhaseCommand, ...] = ()
         if intake.admitted or intake.checks:

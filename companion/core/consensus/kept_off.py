@@ -43,10 +43,8 @@ class KeptOff:
     def __init__(self) -> None:
         self._intervened_s = -inf
         self.is_kept_off = False
-        self._nearest_m, self._nearer_s = (
-            inf,
-            -inf,
-        )  # least distance from the slot on the way back, and when it was reached
+        # Least distance from the slot on the way back, and when it was reached.
+        self._nearest_m, self._nearer_s = inf, -inf
 
     def intervened(self, now_s: float, taken_m_s2: float) -> bool:
         """Whether it is, or was and is not back yet. `taken_m_s2`: of the acceleration that the law wants, by vehicles."""

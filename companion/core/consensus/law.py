@@ -48,9 +48,8 @@ class FlownLaw:
         own = self._own(vehicle, slot, commanded_enu_m_s2)
         try:
             x, y, z = self.law.acceleration(own, neighbours, reference)
-            flyable = (
-                -MOST_M_S2 < x < MOST_M_S2 and -MOST_M_S2 < y < MOST_M_S2 and -MOST_M_S2 < z < MOST_M_S2
-            )  # not of NaN
+            # Not of NaN
+            flyable = -MOST_M_S2 < x < MOST_M_S2 and -MOST_M_S2 < y < MOST_M_S2 and -MOST_M_S2 < z < MOST_M_S2
             memory = self.law.remember(own, neighbours, reference) if self._nothing else ()
         except Exception as error:  # the law may be the code of a user
             raise LawError(f"the law raises {type(error).__name__}: {error}") from error
@@ -103,10 +102,7 @@ class FlownLaw:
 
 
 def formation_state(
-    position_enu_m: Vector3,
-    velocity_enu_m_s: Vector3,
-    slot: FlownSlot,
-    acceleration_enu_m_s2: Vector3 = ZERO3,
+    position_enu_m: Vector3, velocity_enu_m_s: Vector3, slot: FlownSlot, acceleration_enu_m_s2: Vector3 = ZERO3
 ) -> FormationState:
     """State of a vehicle minus that of its slot, ENU."""
     (x, y, z), (vx, vy, vz) = position_enu_m, velocity_enu_m_s

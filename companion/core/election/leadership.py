@@ -7,12 +7,7 @@ from math import inf
 
 from companion.types.autopilot import VehicleState, in_air
 from companion.types.commands import EPOCHS_AHEAD, MAX_EPOCH, NUMBERS_AHEAD, Lead
-from companion.types.flight import (
-    LEAD_CHANGES_IN,
-    Flight,
-    FlightPhase,
-    Role,
-)
+from companion.types.flight import LEAD_CHANGES_IN, Flight, FlightPhase, Role
 from companion.types.formation import LeaderBeacon, Term
 from companion.types.notices import Answer, Code, Notice, accept
 

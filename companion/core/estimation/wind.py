@@ -101,11 +101,7 @@ class DisturbanceObserver:
         self._thrust_norm += (last.thrust_norm - self._thrust_norm) * (1.0 - exp(-dt_s / THRUST_LAG_S))
         after_x, after_y, after_z = self._acceleration(motion)
         (x, y, z), half_s = self._velocity_enu_m_s, 0.5 * dt_s
-        return (
-            x + half_s * (before_x + after_x),
-            y + half_s * (before_y + after_y),
-            z + half_s * (before_z + after_z),
-        )
+        return (x + half_s * (before_x + after_x), y + half_s * (before_y + after_y), z + half_s * (before_z + after_z))
 
     def _acceleration(self, motion: FlightSample) -> Vector3:
         """Acceleration of the model, m/s^2."""

@@ -72,11 +72,7 @@ def reference_box(fence: Box, slots_enu_m: Iterable[Vector3]) -> Box:
 
 
 def blending(
-    old: FormationState,
-    new: ReferenceTrajectory,
-    begins_s: float,
-    limits: BlendLimits,
-    slots_enu_m: Sequence[Vector3],
+    old: FormationState, new: ReferenceTrajectory, begins_s: float, limits: BlendLimits, slots_enu_m: Sequence[Vector3]
 ) -> Steps[tuple[ReferenceTrajectory, float] | None]:
     """(RFT from `begins_s` on, duration of the blend): the shortest blend within all limits, or None. In steps.
 
@@ -89,11 +85,7 @@ def blending(
 
 
 def _blending(
-    old: FormationState,
-    new: ReferenceTrajectory,
-    begins_s: float,
-    limits: BlendLimits,
-    slots_enu_m: Sequence[Vector3],
+    old: FormationState, new: ReferenceTrajectory, begins_s: float, limits: BlendLimits, slots_enu_m: Sequence[Vector3]
 ) -> Steps[tuple[ReferenceTrajectory, float] | None]:
     """A step for each sample."""
     first, box = new(0.0), limits.box(slots_enu_m)

@@ -68,12 +68,7 @@ class ReferencePlan:
     """The RFT flown, the change that waits, and the RFT of the last leader."""
 
     def __init__(
-        self,
-        first: Rft,
-        described: Described | None,
-        read: Read,
-        refusal_of_slots: RefusalOfSlots,
-        limits: BlendLimits,
+        self, first: Rft, described: Described | None, read: Read, refusal_of_slots: RefusalOfSlots, limits: BlendLimits
     ) -> None:
         """`first` is the configured RFT, `described` as a command would bring it, None where none could.
 

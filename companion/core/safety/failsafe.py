@@ -113,11 +113,7 @@ FAILSAFES: tuple[Failsafe, ...] = (
     Failsafe(C.FRAME_CONTRADICTED, "at once", (HOLD,), "an origin and a global position that agree"),
     # A new origin explains a jump; it comes within ORIGIN_WITHIN_S.
     Failsafe(
-        C.POSITION_JUMPED,
-        "{} s after a jump",
-        (HOLD,),
-        "a new origin, or the jump is followed",
-        limit=ORIGIN_WITHIN_S,
+        C.POSITION_JUMPED, "{} s after a jump", (HOLD,), "a new origin, or the jump is followed", limit=ORIGIN_WITHIN_S
     ),
     Failsafe(C.ESTIMATOR_BAD, "next estimator status", (WARN, Step(A.HOLD, 1.0)), "a good estimator status"),
     # Autopilots dead-reckon for 5 to 10 s and then land blind: until then the position is still good enough to land by.
@@ -152,12 +148,7 @@ FAILSAFES: tuple[Failsafe, ...] = (
     Failsafe(C.TILT_EXCEEDED, "`max_tilt_deg` and {} deg", (WARN, Step(A.HOLD, 0.3)), "less tilt", limit=10.0),
     # Five periods of 50 Hz; in the air at most a few milliseconds are usual (docs/performance.md).
     Failsafe(
-        C.TICK_LATE,
-        "a tick {} s late",
-        (WARN, Step(A.HOLD, 5.0)),
-        "{} s without a late tick",
-        limit=0.1,
-        stays_s=1.0,
+        C.TICK_LATE, "a tick {} s late", (WARN, Step(A.HOLD, 5.0)), "{} s without a late tick", limit=0.1, stays_s=1.0
     ),
     # A tenth of a tick. A single call may be interrupted by another process; a law that is slow by itself is so in every tick.
     Failsafe(

@@ -40,15 +40,7 @@ from companion.types.autopilot import (
     Telemetry,
     VehicleState,
 )
-from companion.types.flight import (
-    STREAMING,
-    FailsafeAction,
-    Flight,
-    FlightPhase,
-    HealthFlag,
-    PhaseChange,
-    PhaseRequest,
-)
+from companion.types.flight import STREAMING, FailsafeAction, Flight, FlightPhase, HealthFlag, PhaseChange, PhaseRequest
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
 from companion.types.status import SeparationReport
