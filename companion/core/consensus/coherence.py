@@ -30,6 +30,7 @@ from math import sqrt
 from msgspec import Struct
 
 from companion.core.autopilot import LAG_S
+from companion.geometry.vectors import scaled
 from companion.types.values import ZERO3, Vector3
 
 FORGOTTEN_S = 0.5
@@ -62,18 +63,23 @@ class Coherence(Struct, frozen=True, gc=False):
     """What was found of one sender up to a state: position and velocity as sent, measured at `measured_s`.
 
     `off_enu_m`: where the position has gone without a velocity; `off_m_s`: changes of velocity that nothing flies. `doubt_s`:
-    for how long it was off, less what it made good. `moves_enu_m_s`: velocity by the positions alone.
+    for how long it was off, less what it made good. `gone_enu_m`: the way of FORGOTTEN_S by the positions alone.
     """
 
     measured_s: float
     position_enu_m: Vector3
     velocity_enu_m_s: Vector3
-    moves_enu_m_s: Vector3
+    gone_enu_m: Vector3
     off_enu_m: Vector3 = ZERO3
     off_m_s: float = 0.0
     doubt_s: float = 0.0
     contradicts: bool = False
     unflown: Unflown | None = None
+
+    @property
+    def moves_enu_m_s(self) -> Vector3:
+        """Velocity by the positions alone."""
+        return scaled(self.gone_enu_m, 1.0 / FORGOTTEN_S)
 
 
 def coherent(
@@ -89,7 +95,7 @@ def coherent(
     `commanded_enu_m_s2` is None where the vehicle flies by no command of its agent.
     """
     if before is None or measured_s - before.measured_s > LONGEST_STEP_S:
-        return Coherence(measured_s, position_enu_m, velocity_enu_m_s, velocity_enu_m_s)
+        return Coherence(measured_s, position_enu_m, velocity_enu_m_s, scaled(velocity_enu_m_s, FORGOTTEN_S))
     step_s = measured_s - before.measured_s
     if step_s < 0.0:
         step_s = 0.0
@@ -123,13 +129,10 @@ def coherent(
         doubt_s = doubt_s - RECOVERS * step_s if doubt_s > RECOVERS * step_s else 0.0
     if doubt_s > TRUSTED_S:
         contradicts = before.contradicts or doubt_s > IN_DOUBT_S
-    (mx, my, mz), new = before.moves_enu_m_s, 1.0 - left
-    if step_s > 0.0:
-        share = new / step_s
-        mx, my, mz = mx * left + dx * share, my * left + dy * share, mz * left + dz * share
-    moves, off = (mx, my, mz), (ox, oy, oz)
+    gx, gy, gz = before.gone_enu_m
+    gone, off = ((gx + dx) * left, (gy + dy) * left, (gz + dz) * left), (ox, oy, oz)
     return Coherence(
-        measured_s, position_enu_m, velocity_enu_m_s, moves, off, off_m_s, doubt_s, contradicts, unflown=unflown
+        measured_s, position_enu_m, velocity_enu_m_s, gone, off, off_m_s, doubt_s, contradicts, unflown=unflown
     )
 
 

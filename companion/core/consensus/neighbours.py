@@ -33,7 +33,7 @@ class EdgeRule:
         self._others = sorted({b if a == own_id else a for a, b in edges if own_id in (a, b)})
 
     def select(self, own_position_enu_m: Vector3, peers: Mapping[int, PeerState], now_s: float) -> tuple[int, ...]:  # noqa: ARG002
-        return tuple([i for i in self._others if i in peers])
+        return tuple(filter(peers.__contains__, self._others))
 
 
 # Without a neighbour that has a leader beacon. Beacons end 0.3 s after the leader was last received.

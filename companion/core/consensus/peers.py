@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from math import dist, hypot, inf, isfinite, pi
+from operator import attrgetter
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -37,6 +38,7 @@ from companion.types.values import MAX_CHANGE_S, MAX_COORDINATE_M, MAX_MISSION_S
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # enum member lookup is slow, and every packet needs it
 MAX_ACCELERATION_M_S2 = 100.0
+MEASURED_S = attrgetter("measured_s")
 MAX_ERROR_M = 10_000.0
 MAX_TURN_RAD_S, MAX_TURN_RAD_S2 = 5.0, 20.0  # several times the limits of any formation
 MAX_SENT_S = 1e9  # thirty years since the sender's computer was started
@@ -109,12 +111,12 @@ def refusal_of_motion(packet: PeerPacket, limits: FleetLimits, known: FlownSlot 
     """Checks position, velocity, acceleration, times, slot and position error. `known` is a slot that has passed before."""
     motion, slot, error = packet.motion, packet.slot, packet.position_error
     least, most = -MAX_COORDINATE_M, MAX_COORDINATE_M
-    (x, y, z), (vx, vy, vz) = motion.position_enu_m, motion.velocity_enu_m_s
+    (x, y, z), (vx, vy, vz), (ax, ay, az) = motion.position_enu_m, motion.velocity_enu_m_s, motion.acceleration_enu_m_s2
     if not (least <= x <= most and least <= y <= most and least <= z <= most):
         return _not_finite(motion) or Code.PEER_POSITION_IMPLAUSIBLE
     if not hypot(vx, vy, vz) <= limits.speed_m_s:  # or not a number, here and below
         return _not_finite(motion) or Code.PEER_SPEED_IMPLAUSIBLE
-    if not hypot(*motion.acceleration_enu_m_s2) <= MAX_ACCELERATION_M_S2:
+    if not hypot(ax, ay, az) <= MAX_ACCELERATION_M_S2:
         return _not_finite(motion) or Code.PEER_ACCELERATION_IMPLAUSIBLE
     if not (0.0 <= motion.state_age_s <= MAX_STATE_AGE_S and 0.0 <= motion.sent_s <= MAX_SENT_S):
         return _not_finite(motion) or Code.PEER_TIME_IMPLAUSIBLE
@@ -253,7 +255,7 @@ def neighbour_at(peer: PeerState, now_s: float, prc: int) -> Neighbour:
         (vx + age_s * ax, vy + age_s * ay, vz + age_s * az),
         (ax, ay, az),
         prc,
-        packet.slot.position_enu_m,
+        slot.position_enu_m,
         aged_s,
         packet.law_values,
     )
@@ -416,11 +418,10 @@ class PeerTable:
 
         The state of a distant peer may be as old as it is at 5 Hz. One that contradicts itself counts as silent.
         """
-        fresh = {
-            i: peer
-            for i, peer in self.known.items()
-            if now_s - peer.measured_s <= self._max_age_s and not peer.contradicts
-        }
+        fresh, max_age_s = {}, self._max_age_s
+        for i, peer in self.known.items():
+            if now_s - peer.measured_s <= max_age_s and not peer.contradicts:
+                fresh[i] = peer
         if not self.low_rate_s:
             return fresh, fresh
         for i in self._distant & fresh.keys():
@@ -435,7 +436,7 @@ class PeerTable:
         """How long all of this is found again without a further packet; -inf where a vehicle is silent, whose age counts."""
         if len(present) < len(self.known):
             return -inf
-        until_s = self._max_age_s - ROUNDING_S + min([peer.measured_s for peer in fresh.values()], default=inf)
+        until_s: float = self._max_age_s - ROUNDING_S + min(map(MEASURED_S, fresh.values()), default=inf)
         if present is fresh:
             return until_s
         at_5_hz = [peer.measured_s + self._age_limit_s(i) - ROUNDING_S for i, peer in present.items() if i not in fresh]

@@ -32,7 +32,8 @@ as a minority that can fly must not wait for a majority that it cannot hear.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from math import inf, tau
+from math import inf
+from operator import attrgetter
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -40,7 +41,7 @@ from msgspec.structs import replace
 from companion.core.consensus.law import next_prc
 from companion.core.consensus.neighbours import NeighbourRule
 from companion.core.consensus.peers import MAX_TURN_RAD_S, PeerState, PeerTable, neighbour_at
-from companion.core.election.beacon import STAMPS_PER_S, WAITED_S, BeaconMonitor, MissionClock
+from companion.core.election.beacon import WAITED_S, BeaconMonitor, MissionClock
 from companion.core.election.leadership import Leadership, Succession, refusal_of_lead
 from companion.geometry.formations import heading_after
 from companion.geometry.vectors import clamped
@@ -55,6 +56,8 @@ from companion.types.peers import LostVehicle, PeerPacket, ReceivedPeerPacket
 # Member lookup of an enum is slow, and every tick needs these.
 LEADER, FOLLOWER, FORMATION = Role.LEADER, Role.FOLLOWER, FlightPhase.FORMATION
 LEADER_AWAITED, LEADER_LOST = HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST
+# Before Python 3.12 a comprehension of few elements is slow.
+PHASE, PRC = attrgetter("phase"), attrgetter("prc")
 EPOCHS_PER_S = 1.0  # changes of leader that may be missed in time
 NONE: tuple[tuple[tuple[int, Answer], ...], tuple[Notice, ...]] = ((), ())  # no answers and no events
 FORMING_S = 2.0  # so long a formation may take to come together
@@ -72,9 +75,8 @@ class LeadView(Struct, frozen=True, gc=False):
     term: Term
     beacon: LeaderBeacon | None
     beacon_age_s: float
-    leaderless: (
-        HealthFlag | None
-    )  # LEADER_AWAITED: followers hold formation among themselves; LEADER_LOST: for too long
+    # LEADER_AWAITED: followers hold formation among themselves; LEADER_LOST: for too long
+    leaderless: HealthFlag | None
     reference_s: float
     heading: Heading | None
 
@@ -128,44 +130,10 @@ def _followed(ids: tuple[int, ...], packets: Sequence[PeerPacket], leads: bool) 
     A vehicle in hold may not have been commanded to form: where it is says nothing about the formation. Only a leader in hold
     counts, where no other leads: the fleet waits with it. `leads`: this vehicle is leader.
     """
-    streaming = [p for p in packets if p.phase in STREAMING]
-    if len(streaming) == len(packets):
+    if STREAMING.issuperset(map(PHASE, packets)):
         return ids
-    led = leads or any(p.role is LEADER for p in streaming)
+    led = leads or any(p.role is LEADER for p in packets if p.phase in STREAMING)
     return tuple([p.sender.vehicle_id for p in packets if p.phase in STREAMING or (p.role is LEADER and not led)])
-
-
-NEWER_S, MISSION_OFF_S, TURNED_RAD = 0.02, 1.0, 0.3
-
-
-def _passed_on(
-    now_s: float, neighbours: Iterable[PeerPacket], fresh: Mapping[int, PeerState], own_id: int
-) -> list[LeaderBeacon]:
-    """The beacons of neighbours that agree with what the fresh leaders have just said themselves.
-
-    A vehicle that lies could raise the stamp, so that its words count and the leader's own beacons seem old for a second. What
-    is said in another term may be newer. The own beacon comes back from before a handover or a restart.
-    """
-    others = [b for p in neighbours if (b := p.leader.beacon) is not None and b.leader_id != own_id]
-    for peer in fresh.values():
-        if peer.packet.role is not LEADER or (said := peer.packet.leader.beacon) is None:
-            continue
-        i, epoch, claim, mission_s = said.leader_id, said.epoch, said.claim, said.reference_s
-        newest = said.stamp + STAMPS_PER_S * (now_s - peer.measured_s + NEWER_S)
-        heading_rad = said.heading.angle_rad
-        others = [
-            b
-            for b in others
-            if b.leader_id != i
-            or b.epoch != epoch
-            or b.claim != claim
-            or (
-                b.stamp <= newest
-                and (b.reference_s == 0.0 or -MISSION_OFF_S <= b.reference_s - mission_s <= MISSION_OFF_S)
-                and not TURNED_RAD < (b.heading.angle_rad - heading_rad) % tau < tau - TURNED_RAD
-            )
-        ]
-    return others
 
 
 class ConsensusStage:
@@ -241,9 +209,10 @@ class ConsensusStage:
         changes = self._newer_terms(now_s, present.values(), epochs_up_to)
         relays = self._relays(now_s, flying, fresh, present, in_formation)
         ids = self._rule.select(vehicle.position_enu_m, relays, now_s)
-        neighbours = [fresh[i].packet for i in ids]
-        others = _passed_on(now_s, neighbours, fresh, self._own_id)
-        self._leader.receive(now_s, others, leadership.term)
+        neighbours = []
+        for i in ids:
+            neighbours.append(fresh[i].packet)
+        self._receive_beacons(now_s, neighbours, fresh)
         youngest, age_s = self._leader.youngest(now_s)
         settled = self._settle_term(now_s, in_formation, youngest, flying)
         leaderless, claimed = self._awaited(now_s, youngest is not None, neighbours, flying, fit_to_lead)
@@ -252,11 +221,11 @@ class ConsensusStage:
         followed = _followed(ids, neighbours, role is LEADER) if in_formation else ids
         if self._law_values:  # a law that is given fewer values than it expects would fail
             followed = tuple([i for i in followed if len(fresh[i].packet.law_values) == self._law_values])
-        states = self._states(now_s, [fresh[i] for i in followed], term)
+        states = self._states(now_s, map(fresh.__getitem__, followed), term)
         heading = self._received_heading(role, in_formation, youngest, age_s)
         beacon, beacon_age_s, reference_s = self._beacon(now_s, role, in_formation, youngest, age_s)
         return Consensus(
-            prc=next_prc(role is LEADER, [state.prc for state in states], self._n),
+            prc=next_prc(role is LEADER, map(PRC, states), self._n),
             lead=LeadView(
                 role=role,
                 term=term,
@@ -272,14 +241,33 @@ class ConsensusStage:
             events=events + changes + settled + claimed,
         )
 
+    def _receive_beacons(self, now_s: float, neighbours: Iterable[PeerPacket], fresh: Mapping[int, PeerState]) -> None:
+        """Those that neighbours pass on, and what the fresh leaders say themselves.
+
+        The own beacon comes back from before a handover or a restart.
+        """
+        passed_on, said = [], []
+        for packet in neighbours:
+            beacon = packet.leader.beacon
+            if beacon is not None and beacon.leader_id != self._own_id:
+                passed_on.append(beacon)
+        for peer in fresh.values():
+            if peer.packet.role is LEADER and (beacon := peer.packet.leader.beacon) is not None:
+                said.append((beacon, now_s - peer.measured_s))
+        self._leader.receive(now_s, passed_on, self.leadership.term, said)
+
     def _peer_sets(self, now_s: float) -> PeerSets:
         table = self.peers
         fresh, present = table.in_time(now_s)
+        flying = []
+        for peer in present.values():
+            if peer.packet.phase in COOPERATING:
+                flying.append(peer.packet)
         return PeerSets(
             known=dict(table.known),
             present=present,
             fresh=fresh,
-            flying=tuple([peer.packet for peer in present.values() if peer.packet.phase in COOPERATING]),
+            flying=tuple(flying),
             duplicate_id_s=table.duplicate_id_s,
             lost=table.lost(now_s) if len(present) < len(table.known) else (),
             in_doubt=table.in_doubt(now_s) if len(present) < len(table.known) else (),

@@ -7,7 +7,7 @@ every packet carries a leader beacon beside the PrC: the leader's id, and a stam
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import inf
+from math import cos, inf
 
 from msgspec import Struct
 
@@ -19,6 +19,8 @@ STAMPS_AHEAD = 300  # what beacons on ways of different length differ by at most
 CONFIRMED_S = 1.0  # longer than the last beacons of a dead leader are passed on
 GAP_S = 0.5  # longest time between two beacons of a rival
 OLDER_TERM_S = 5.0  # so long beacons of an older term are remembered: the vehicle may return to it
+# What is passed on may differ from what the leader has just said itself by so much.
+NEWER_S, MISSION_OFF_S, LEAST_COS = 0.02, 1.0, cos(0.3)
 
 
 class _Kept(Struct, frozen=True, gc=False):
@@ -39,14 +41,35 @@ def _after(kept: _Kept, now_s: float, beacon: LeaderBeacon) -> _Kept:
         clock_stamp, own_stamp = kept.clock_stamp + REMEMBERED * STAMPS_PER_S * elapsed_s, float(stamp)
         return _Kept(beacon, now_s, own_stamp if own_stamp > clock_stamp else clock_stamp)
     silent_s = now_s - kept.rival_s
-    if (
-        silent_s > GAP_S or stamp > kept.rival_stamp
-    ):  # else the same stamp, or an older one: changes nothing for a while
+    # Else the same stamp, or an older one: changes nothing for a while
+    if silent_s > GAP_S or stamp > kept.rival_stamp:
         follows = silent_s <= GAP_S and stamp <= kept.rival_stamp + STAMPS_PER_S * silent_s + STAMPS_AHEAD
         since_s = kept.rival_since_s if follows else now_s
         kept = _Kept(kept.beacon, kept.received_s, kept.clock_stamp, stamp, since_s, now_s)
     confirmed = kept.rival_s == now_s and now_s - max(kept.rival_since_s, kept.received_s) >= CONFIRMED_S
     return _Kept(beacon, now_s, float(stamp)) if confirmed else kept
+
+
+Said = tuple[LeaderBeacon, float]
+"""The beacon of a fresh leader as it said it itself, and the age of its packet in seconds."""
+
+
+def _contradicts(beacon: LeaderBeacon, said: Iterable[Said]) -> bool:
+    """Whether a beacon that was passed on contradicts what its leader has just said itself.
+
+    A vehicle that lies could raise the stamp, so that its words count and the leader's own beacons seem old for a second. What
+    is said in another term may be newer.
+    """
+    for own, age_s in said:
+        if own is beacon or own.leader_id != beacon.leader_id or own.epoch != beacon.epoch or own.claim != beacon.claim:
+            continue
+        if (
+            beacon.stamp > own.stamp + STAMPS_PER_S * (age_s + NEWER_S)
+            or (beacon.reference_s != 0.0 and abs(beacon.reference_s - own.reference_s) > MISSION_OFF_S)
+            or cos(beacon.heading.angle_rad - own.heading.angle_rad) < LEAST_COS
+        ):
+            return True
+    return False
 
 
 class BeaconMonitor:
@@ -62,14 +85,16 @@ class BeaconMonitor:
         self._max_age_s = max_age_s
         self._newest: dict[tuple[int, Term], _Kept] = {}  # by leader id and term
 
-    def receive(self, now_s: float, beacons: Iterable[LeaderBeacon | None], term: Term) -> None:
+    def receive(
+        self, now_s: float, beacons: Iterable[LeaderBeacon | None], term: Term, said: Iterable[Said] = ()
+    ) -> None:
         """Beacons that neighbours passed on. One of another term than `term`, this vehicle's own, is ignored.
 
         The own term may be older than before: then those of the newer one had no leader, and are not passed on.
         """
         newest = self._newest
-        for leader in [leader for leader in newest if leader[1] != term]:
-            if leader[1] > term or now_s - newest[leader].received_s > OLDER_TERM_S:
+        for leader in tuple(newest):
+            if leader[1] != term and (leader[1] > term or now_s - newest[leader].received_s > OLDER_TERM_S):
                 del newest[leader]
         epoch, rank = term
         for beacon in beacons:
@@ -78,9 +103,13 @@ class BeaconMonitor:
             leader, stamp = (beacon.leader_id, term), beacon.stamp
             kept = newest.get(leader)
             if kept is None:
-                newest[leader] = _Kept(beacon, now_s, float(stamp))
-            elif kept.beacon.stamp != stamp:
-                newest[leader] = _after(kept, now_s, beacon)
+                after = _Kept(beacon, now_s, float(stamp))
+            elif kept.beacon.stamp == stamp or (kept.received_s == now_s and kept.beacon.stamp > stamp):
+                continue  # the same one again, or an older one from far beside a newer one
+            else:
+                after = _after(kept, now_s, beacon)
+            if not _contradicts(beacon, said):
+                newest[leader] = after
 
     def youngest(self, now_s: float) -> tuple[LeaderBeacon | None, float]:
         """The beacon to pass on and its age in seconds; None and infinity without one within `max_age_s`.
@@ -88,7 +117,10 @@ class BeaconMonitor:
         The newest term comes first, and in it a leader that flies the RFT before one that does not. After a change of leader
         the last beacon of the old one counts until it is too old: that of the new leader is on its way.
         """
-        alive = [kept for kept in self._newest.values() if now_s - kept.received_s <= self._max_age_s]
+        alive = []
+        for kept in self._newest.values():
+            if now_s - kept.received_s <= self._max_age_s:
+                alive.append(kept)
         if not alive:
             return None, inf
         best = alive[0]

@@ -72,13 +72,7 @@ class Filtered(Struct, frozen=True, gc=False):
 class SafetyFilter:
     """Limits the speed, then filters the acceleration by the constraints of vehicles, obstacles and fence."""
 
-    def __init__(
-        self,
-        settings: SeparationSettings,
-        bounds: Bounds,
-        limits: AccelerationLimits,
-        gains: Gains,
-    ) -> None:
+    def __init__(self, settings: SeparationSettings, bounds: Bounds, limits: AccelerationLimits, gains: Gains) -> None:
         most_m_s = SPEED_MARGIN_RATIO * settings.max_speed_m_s
         self._motions = Motions(
             settings.own_id, Silence(settings.fresh_s, 0.0, KEPT_S, settings.braking_m_s2, most_m_s)
@@ -123,7 +117,9 @@ class SafetyFilter:
         if self.traffic:
             others += traffic_nearby(now_s, vehicle, self.traffic)
         error = vehicle.position_error or NO_ERROR
-        barriers = [separation.barrier(ahead, error, slot, other) for other in others]
+        barriers = []
+        for other in others:
+            barriers.append(separation.barrier(ahead, error, slot, other))
         if len(fresh) < len(peers):
             barriers += separation.barriers_below(ahead, error, slot, others)
         slowed, speed = self._bounds.limit_speed(ahead, wanted_enu_m_s2)
@@ -161,13 +157,20 @@ class SafetyFilter:
         """
         pressure, acting = self._pressure, barriers
         steps, turn_steps = MOST_STEPS, TURN_STEPS
-        surrounded = sum([barrier.margin_m < SURROUNDED_M for barrier in barriers]) >= SURROUNDED
-        if surrounded or (barriers and barriers[-1].below):
+        tight = 0
+        for barrier in barriers:
+            if barrier.margin_m < SURROUNDED_M:
+                tight += 1
+        if tight >= SURROUNDED or (barriers and barriers[-1].below):
             steps = turn_steps = CONTRADICTED_STEPS
         if pressure.pressing and pressure.lasts:
             acting, steps = pressure.bounded(barriers), CONTRADICTED_STEPS
-        constraints = [barrier.constraint for barrier in acting]
-        constraints += [b.constraint_without_margins for b in acting if b.constraint_without_margins]
+        constraints, without_margins = [], []
+        for barrier in acting:
+            constraints.append(barrier.constraint)
+            if barrier.constraint_without_margins is not None:
+                without_margins.append(barrier.constraint_without_margins)
+        constraints += without_margins
         constraints += bounds
         limits = replace(self._limits, disturbance_enu_m_s2=disturbance_enu_m_s2)
         eased_enu_m_s2 = eased(slowed_enu_m_s2, acting) if barriers else slowed_enu_m_s2
@@ -278,13 +281,17 @@ class Bounds:
         position_enu_m, (vx, vy, vz) = ahead.position_enu_m, ahead.velocity_enu_m_s
         speed_m_s = sqrt(vx * vx + vy * vy + vz * vz) + NEVER_WANTED_M_S2 / BOUNDARY_RESPONSE_1_S
         reach_m = self._reach_at_rest_m + speed_m_s * speed_m_s / (2.0 * self._least_m_s2)
-        gaps = [(obstacle.gap(position_enu_m), OBSTACLE) for obstacle in self._airspace.obstacles]
+        near = []
+        for obstacle in self._airspace.obstacles:
+            if (gap := obstacle.gap(position_enu_m))[0] < reach_m:
+                near.append(self._constraint(gap, ahead, OBSTACLE))
         if ground_enu_m is not None:
-            gaps.append(((position_enu_m[2] - ground_enu_m[2] - self._floor_m, UP), GROUND))
-        near = [self._constraint(gap, ahead, rank) for gap, rank in gaps if gap[0] < reach_m]
-        return near + [
-            self._constraint(gap, ahead, FENCE) for gap in self._airspace.fence.gaps(position_enu_m, reach_m)
-        ]
+            above_m = position_enu_m[2] - ground_enu_m[2] - self._floor_m
+            if above_m < reach_m:
+                near.append(self._constraint((above_m, UP), ahead, GROUND))
+        for gap in self._airspace.fence.gaps(position_enu_m, reach_m):
+            near.append(self._constraint(gap, ahead, FENCE))
+        return near
 
     def _constraint(self, gap: Gap, ahead: Ahead, rank: Rank) -> Constraint:
         distance_m, (nx, ny, nz) = gap

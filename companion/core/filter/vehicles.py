@@ -45,9 +45,8 @@ from companion.types.status import NearestVehicle
 from companion.types.values import Vector3
 
 # Where no norm or paper stands beside a value, the flights of tests/unit/core/filter try it.
-PLANNED_SHARE = (
-    0.5  # share of the acceleration at the tilt limit used for braking; the rest is for wind (docs/safety.md)
-)
+# Share of the acceleration at the tilt limit used for braking; the rest is for wind (docs/safety.md).
+PLANNED_SHARE = 0.5
 ALONE_SHARE = 0.6  # further share where only this vehicle gives way: others may be behind it
 # Transport delay that no receiver can measure without a common clock; docs/faults.md flies with as much.
 UNSEEN_DELAY_S = 0.1
@@ -147,7 +146,7 @@ class Separation:
             nx, ny, nz = (*self._sideways_of(other, rx, ry), 0.0)
         closing_m_s = -(nx * wx + ny * wy + nz * wz)
         across_m_s2 = (wx * wx + wy * wy + wz * wz - closing_m_s * closing_m_s) / (apart_m + NEAREST_M)
-        if (nz == 0.0 and apart_m <= self._close_m) or (other.silence is not None and other.silence.begins_s > 0.0):
+        if apart_m <= self._close_m or (other.silence is not None and other.silence.begins_s > 0.0):
             across_m_s2 = 0.0  # the direction does not turn; who passes one end of a way may come to its middle
         mz, offset_enu_m = nz * weight, (rx, ry, rz)
         required_m = self._required(error, slot, other, offset_enu_m, mz)
@@ -171,8 +170,8 @@ class Separation:
         towards_m_s2 = nx * ux + ny * uy + mz * uz
         if other.age_s > BELIEVED_S and towards_m_s2 < 0.0:
             towards_m_s2 = 0.0
-        own_m_s2 = least_m_s2 + towards_m_s2
-        nx, ny, mz, rank, without_margins = nx / size, ny / size, mz / size, other.rank, None
+        own_m_s2, rank, without_margins = least_m_s2 + towards_m_s2, other.rank, None
+        nx, ny, mz = nx / size, ny / size, mz / size
         if slot_of_other is not None:
             if own_m_s2 < 0.5 * least_m_s2:
                 own_m_s2 = 0.5 * least_m_s2
@@ -279,14 +278,16 @@ def nearest_and_violated(
     least: Barrier | None = None
     least_m, violated = inf, False
     for barrier in barriers:
-        other, is_least = barrier.other, least is None or (barrier.margin_m < least.margin_m and not barrier.below)
-        (px, py, pz), (wx, wy, wz), _ = other.last
-        age_s = other.age_s if other.silence is None else min(other.age_s, other.silence.kept_s)
+        other = barrier.other
+        ((px, py, pz), (wx, wy, wz), _), age_s = other.last, other.age_s
+        if other.silence is not None:
+            age_s = min(age_s, other.silence.kept_s)
         dx, dy = x - px - wx * age_s, y - py - wy * age_s
         dz = (z - pz - wz * age_s) * other.height_weight
         distance_m = sqrt(dx * dx + dy * dy + dz * dz)
-        violated = violated or distance_m < separation_m
-        if is_least:
+        if distance_m < separation_m:
+            violated = True
+        if least is None or (barrier.margin_m < least.margin_m and not barrier.below):
             least, least_m = barrier, distance_m
     nearest = None if least is None else NearestVehicle(str(least.other.key), least_m, least.required_m)
     return nearest, violated
@@ -318,15 +319,16 @@ def eased(wanted_enu_m_s2: Vector3, barriers: Iterable[Barrier]) -> Vector3:
     """
     (ux, uy, uz), excesses = wanted_enu_m_s2, []
     for barrier in barriers:
-        margin_m = barrier.margin_m
-        if margin_m < PULLED_WITHIN_M and not barrier.below:
-            (nx, ny, nz, _, _), (ox, oy, oz) = barrier.constraint, barrier.other.commanded_enu_m_s2
+        (nx, ny, nz, _, _), margin_m = barrier.constraint, barrier.margin_m
+        along = nx * ux + ny * uy + nz * uz
+        if along < -LEAST_PULL_M_S2 and margin_m < PULLED_WITHIN_M and not barrier.below:
+            ox, oy, oz = barrier.other.commanded_enu_m_s2
             least = nx * ox + ny * oy + nz * oz - LARGEST_PULL_M_S2
             if least > -LEAST_PULL_M_S2:
                 least = -LEAST_PULL_M_S2
             if margin_m > 0.0:
                 least -= PULL_SLOPE_1_S2 * margin_m
-            excess = least - (nx * ux + ny * uy + nz * uz)
+            excess = least - along
             if excess > 0.0:
                 excesses.append((excess, nx, ny, nz, least))
     if not excesses:

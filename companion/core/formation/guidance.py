@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from math import dist
+from operator import attrgetter
 
 from msgspec import Struct
 
@@ -27,6 +28,7 @@ from companion.types.values import ZERO3
 
 # Member lookup of an enum is slow, and every tick needs these.
 LEADER, ENGAGE, FORMATION = Role.LEADER, FlightPhase.ENGAGE, FlightPhase.FORMATION
+CHANGE = attrgetter("change")
 MAY_FORM = RULES[CommandName.FORM].allowed
 MAX_OFF_FLEET_M = 30.0  # more than a fleet lags behind a fast RFT; farther away it is another RFT
 NONE_REJECTED: Mapping[str, int] = {}
@@ -94,8 +96,7 @@ class GuidanceStage:
         slots, heading, references = self._slots, self._heading, self.references
         events = () if vehicle.armed else self._restart()
         changed = NOTHING_CHANGED
-        passed_on = [peer for peer in consensus.peers.flying if peer.change is not None]
-        if commands or passed_on or not self.changes.is_idle or checks:
+        if commands or any(map(CHANGE, consensus.peers.flying)) or not self.changes.is_idle or checks:
             changed = self.changes.step(Situation(now_s, vehicle, flight, consensus, self._slot), commands, checks)
             events += changed.events
         reference_s, leads = consensus.lead.reference_s, consensus.lead.role is LEADER
@@ -146,12 +147,7 @@ class GuidanceStage:
         return self._slots.restart()
 
     def _turn(
-        self,
-        heading: CourseHeading,
-        now_s: float,
-        flight: Flight,
-        consensus: Consensus,
-        rft: FormationState | None,
+        self, heading: CourseHeading, now_s: float, flight: Flight, consensus: Consensus, rft: FormationState | None
     ) -> None:
         """Turn the own slot to the heading of this tick. `rft` is R of a leader."""
         if consensus.lead.heading is not None and not flight.streams:
