@@ -63,7 +63,8 @@ class Coherence(Struct, frozen=True, gc=False):
     """What was found of one sender up to a state: position and velocity as sent, measured at `measured_s`.
 
     `off_enu_m`: where the position has gone without a velocity; `off_m_s`: changes of velocity that nothing flies. `doubt_s`:
-    for how long it was off, less what it made good. `gone_enu_m`: the way of FORGOTTEN_S by the positions alone.
+    for how long it was off, less what it made good. `gone_enu_m`: the sum of the steps of the position, which fades within
+    FORGOTTEN_S.
     """
 
     measured_s: float

@@ -48,7 +48,7 @@ class FlownLaw:
         own = self._own(vehicle, slot, commanded_enu_m_s2)
         try:
             x, y, z = self.law.acceleration(own, neighbours, reference)
-            # Not of NaN
+            # False for NaN
             flyable = -MOST_M_S2 < x < MOST_M_S2 and -MOST_M_S2 < y < MOST_M_S2 and -MOST_M_S2 < z < MOST_M_S2
             memory = self.law.remember(own, neighbours, reference) if self._nothing else ()
         except Exception as error:  # the law may be the code of a user

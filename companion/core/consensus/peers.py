@@ -38,7 +38,6 @@ from companion.types.values import MAX_CHANGE_S, MAX_COORDINATE_M, MAX_MISSION_S
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # enum member lookup is slow, and every packet needs it
 MAX_ACCELERATION_M_S2 = 100.0
-MEASURED_S = attrgetter("measured_s")
 MAX_ERROR_M = 10_000.0
 MAX_TURN_RAD_S, MAX_TURN_RAD_S2 = 5.0, 20.0  # several times the limits of any formation
 MAX_SENT_S = 1e9  # thirty years since the sender's computer was started
@@ -197,6 +196,9 @@ LOST_AFTER_S = 2.0  # silent for longer than a distant peer may be
 HEARSAY_S = 10.0  # a hundred hops of 0.1 s
 ROUNDING_S = 1e-6  # of sums of times
 JUMP_MARGIN_M = 1.0  # an estimator correction may add this to the distance flown between two packets
+
+
+MEASUREMENT_TIME = attrgetter("measured_s")  # for map(), as in stage.py
 
 
 class PeerState(Struct, frozen=True, gc=False):
@@ -436,7 +438,7 @@ class PeerTable:
         """How long all of this is found again without a further packet; -inf where a vehicle is silent, whose age counts."""
         if len(present) < len(self.known):
             return -inf
-        until_s: float = self._max_age_s - ROUNDING_S + min(map(MEASURED_S, fresh.values()), default=inf)
+        until_s: float = self._max_age_s - ROUNDING_S + min(map(MEASUREMENT_TIME, fresh.values()), default=inf)
         if present is fresh:
             return until_s
         at_5_hz = [peer.measured_s + self._age_limit_s(i) - ROUNDING_S for i, peer in present.items() if i not in fresh]

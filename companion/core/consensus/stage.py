@@ -56,7 +56,7 @@ from companion.types.peers import LostVehicle, PeerPacket, ReceivedPeerPacket
 # Member lookup of an enum is slow, and every tick needs these.
 LEADER, FOLLOWER, FORMATION = Role.LEADER, Role.FOLLOWER, FlightPhase.FORMATION
 LEADER_AWAITED, LEADER_LOST = HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST
-# Before Python 3.12 a comprehension of few elements is slow.
+# For map(): before Python 3.12 each comprehension makes a function, which takes longer than few elements.
 PHASE, PRC = attrgetter("phase"), attrgetter("prc")
 EPOCHS_PER_S = 1.0  # changes of leader that may be missed in time
 NONE: tuple[tuple[tuple[int, Answer], ...], tuple[Notice, ...]] = ((), ())  # no answers and no events

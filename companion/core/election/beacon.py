@@ -6,7 +6,7 @@ every packet carries a leader beacon beside the PrC: the leader's id, and a stam
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from math import cos, inf
 
 from msgspec import Struct
@@ -54,7 +54,7 @@ Said = tuple[LeaderBeacon, float]
 """The beacon of a fresh leader as it said it itself, and the age of its packet in seconds."""
 
 
-def _contradicts(beacon: LeaderBeacon, said: Iterable[Said]) -> bool:
+def _contradicts(beacon: LeaderBeacon, said: Collection[Said]) -> bool:
     """Whether a beacon that was passed on contradicts what its leader has just said itself.
 
     A vehicle that lies could raise the stamp, so that its words count and the leader's own beacons seem old for a second. What
@@ -86,11 +86,12 @@ class BeaconMonitor:
         self._newest: dict[tuple[int, Term], _Kept] = {}  # by leader id and term
 
     def receive(
-        self, now_s: float, beacons: Iterable[LeaderBeacon | None], term: Term, said: Iterable[Said] = ()
+        self, now_s: float, beacons: Iterable[LeaderBeacon | None], term: Term, said: Collection[Said] = ()
     ) -> None:
         """Beacons that neighbours passed on. One of another term than `term`, this vehicle's own, is ignored.
 
-        The own term may be older than before: then those of the newer one had no leader, and are not passed on.
+        So is one that contradicts what fresh leaders have just `said` themselves. The own term may be older than before: then
+        those of the newer one had no leader, and are not passed on.
         """
         newest = self._newest
         for leader in tuple(newest):

@@ -28,8 +28,8 @@ from companion.types.values import ZERO3
 
 # Member lookup of an enum is slow, and every tick needs these.
 LEADER, ENGAGE, FORMATION = Role.LEADER, FlightPhase.ENGAGE, FlightPhase.FORMATION
-CHANGE = attrgetter("change")
 MAY_FORM = RULES[CommandName.FORM].allowed
+CHANGE = attrgetter("change")  # for map(), as in consensus/stage.py
 MAX_OFF_FLEET_M = 30.0  # more than a fleet lags behind a fast RFT; farther away it is another RFT
 NONE_REJECTED: Mapping[str, int] = {}
 

@@ -33,7 +33,6 @@ SHARE = 0.65  # of separation_m, at which two vehicles must be able to stop
 BRAKING_SHARE = 0.8  # of the largest braking: the rest is for wind
 RESPONDS_S = 0.3  # attitude lag, a tick, and the transport of a packet
 STANDS_M_S = 0.1  # a slower approach is noise of the estimators
-STANDS_M2_S2 = STANDS_M_S * STANDS_M_S
 STOPS_WITHIN_S = 0.25  # the velocity is braked away in so long, as far as the envelope allows
 IN_A_ROW = 3  # ticks: a velocity that changes its sign with each packet stops no vehicle
 OLDEST_S = 0.1  # of the position that a command was decided by
@@ -55,8 +54,6 @@ class CommandMonitor:
         self._weakest_m_s2 = min(self._up_m_s2, self._down_m_s2)
         self._last, self._last_s = AttitudeTarget(0.0, 0.0, 0.0, 0.0), -inf
         self._found_ticks = 0
-        self._most_m2_s2 = limits.max_speed_m_s**2
-        self._least_climb_m_s, self._most_climb_m_s = -limits.max_descent_m_s, limits.max_climb_m_s
         self._overspeed = Overspeed(limits, self._level_m_s2, self._up_m_s2, self._down_m_s2)
 
     def acceleration(
@@ -74,10 +71,11 @@ class CommandMonitor:
         self._found_ticks = self._found_ticks + 1 if found else 0
         if self._found_ticks >= IN_A_ROW:
             return (-vx / STOPS_WITHIN_S, -vy / STOPS_WITHIN_S, -vz / STOPS_WITHIN_S)
-        is_slow = vx * vx + vy * vy <= self._most_m2_s2 and self._least_climb_m_s <= vz <= self._most_climb_m_s
-        if is_slow and not self._overspeed.lasts:
+        limits, overspeed = self._limits, self._overspeed
+        is_slow = vx * vx + vy * vy <= limits.max_speed_m_s**2 and -limits.max_descent_m_s <= vz <= limits.max_climb_m_s
+        if is_slow and not overspeed.lasts:
             return wanted_enu_m_s2
-        return self._overspeed.slowed(now_s, vehicle.velocity_enu_m_s, wanted_enu_m_s2)
+        return overspeed.slowed(now_s, vehicle.velocity_enu_m_s, wanted_enu_m_s2)
 
     def _meets(self, now_s: float, place: Vector3, velocity: Vector3, fresh: Mapping[int, PeerState]) -> bool:
         """Whether a cooperating vehicle would come too near although both brake: on a straight path relative to each other."""
@@ -93,7 +91,7 @@ class CommandMonitor:
             ahead_s = age_s + RESPONDS_S
             rx, ry, rz = vx - wx - ax * ahead_s, vy - wy - ay * ahead_s, (vz - wz - az * ahead_s) * HEIGHT_WEIGHT
             speed_m2_s2 = rx * rx + ry * ry + rz * rz
-            if speed_m2_s2 <= STANDS_M2_S2:  # noise
+            if speed_m2_s2 <= STANDS_M_S * STANDS_M_S:  # noise
                 continue
             dx, dy, dz = x - px - wx * age_s, y - py - wy * age_s, (z - pz - wz * age_s) * HEIGHT_WEIGHT
             nears = -(dx * rx + dy * ry + dz * rz)

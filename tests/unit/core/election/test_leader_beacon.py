@@ -3,9 +3,10 @@
 from itertools import pairwise
 
 import pytest
+from msgspec.structs import replace
 
 from companion.core.election.beacon import BeaconMonitor
-from companion.types.formation import LeaderBeacon
+from companion.types.formation import Heading, LeaderBeacon
 
 TICK_S = 0.02
 
@@ -104,6 +105,30 @@ def test_a_restarted_leader_is_accepted_when_its_stamps_rise() -> None:
     assert watch.youngest(end_s)[0] is None
     end_s = received(watch, list(range(940, 1100, 20)), end_s + TICK_S)
     assert watch.youngest(end_s) == (LeaderBeacon(1, 0, 1080), 0.0)
+
+
+def test_an_older_beacon_beside_a_newer_one_begins_no_rival() -> None:
+    watch = BeaconMonitor(0.5)
+    watch.receive(10.0, [LeaderBeacon(1, 0, 20_000), LeaderBeacon(1, 0, 19_980)], (0, 0))
+    restarted = list(range(3000, 4040, 20))
+    end_s = received(watch, restarted[:-2], 10.1)
+    assert watch.youngest(end_s)[0] is None
+    end_s = received(watch, restarted[-2:], end_s + TICK_S)
+    assert watch.youngest(end_s) == (LeaderBeacon(1, 0, restarted[-1]), 0.0)
+
+
+def test_what_contradicts_the_leaders_own_word_is_not_passed_on() -> None:
+    watch, own = BeaconMonitor(0.5), LeaderBeacon(1, 0, 1000, reference_s=5.0)
+    for wrong in (
+        replace(own, stamp=1100),
+        replace(own, stamp=1001, reference_s=9.0),
+        replace(own, stamp=1001, heading=Heading(0.4)),
+    ):
+        watch.receive(10.0, [own, wrong, wrong], (0, 0), [(own, 0.05)])
+        assert watch.youngest(10.0)[0] == own
+    later = replace(own, stamp=1050, reference_s=5.05, heading=Heading(0.2))
+    watch.receive(10.02, [later], (0, 0), [(own, 0.05)])
+    assert watch.youngest(10.02)[0] == later
 
 
 def test_old_stamps_in_circulation_never_count() -> None:
