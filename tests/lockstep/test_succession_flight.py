@@ -134,16 +134,16 @@ def test_vehicles_keep_their_slots_without_a_step(law: str, most_m: float) -> No
     assert flight.decisions.jump_m() < JUMP_M
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_the_leader_is_replaced_over_a_slow_lossy_network_with_noise(seed: int) -> None:
+# The successor makes way for the vehicle whose agent ended, which may coast: 0.77 m with seed 2.
+@pytest.mark.parametrize(("seed", "successor_m"), [(1, 0.65), pytest.param(2, 0.8, marks=pytest.mark.long)])
+def test_the_leader_is_replaced_over_a_slow_lossy_network_with_noise(seed: int, successor_m: float) -> None:
     links = ("links.peer_loss=0.1", "links.peer_delay_s=0.1")
     noise = ("stand_in.sensors=default", f"stand_in.seed={seed}")
     flight = flown(SUCCESSOR, "fleet.law.name=cooperative", *links, *noise)
     assert max(flight.led_s(by=2).values()) < 1.5
     assert {status.phase for status in flight.reports} == {FlightPhase.FORMATION}
     assert max(float(flight.errors_m[i].max()) for i in (3, 4)) < 0.5
-    # It makes way for the vehicle whose agent ended, which may coast: 0.77 m with seed 2.
-    assert float(flight.errors_m[2].max()) < 0.8
+    assert float(flight.errors_m[2].max()) < successor_m
     assert flight.decisions.jump_m() < JUMP_M
 
 

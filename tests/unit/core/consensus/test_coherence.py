@@ -84,6 +84,12 @@ def test_the_velocity_by_the_positions_is_that_of_the_motion() -> None:
     assert results[-1].moves_enu_m_s[0] == pytest.approx(2.0, abs=0.1)
 
 
+def test_a_step_that_takes_no_time_by_the_senders_clock_is_a_step() -> None:
+    first = coherent(None, 1.0, ZERO3, ZERO3, None, MOST_M_S2)
+    again = coherent(first, 1.0, (3.0, 0.0, 0.0), ZERO3, None, MOST_M_S2)
+    assert again.moves_enu_m_s == pytest.approx((6.0, 0.0, 0.0))
+
+
 def circling(tick: int) -> State:
     """At 6 m/s with 6 m/s2."""
     at = tick * TICK_S
