@@ -11,13 +11,15 @@ from typing import Any
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.mavlink.translator import Translator
-from companion.types.autopilot import AutopilotKind, AutopilotMode, Telemetry
+from companion.types.autopilot import AutopilotKind, AutopilotMode, GroundSample, PoseSample, Telemetry
+from sitl.autopilots.messages import MissionCurrent
 from tests.fuzz.mutation import other_float, other_int
 from tests.fuzz.plant import HOVER_THRUST_NORM, ORIGIN, PARAMETERS, Plant
 
 M = mavlink
 MAVLINK_2_OVERHEAD = 12  # bytes of header and checksum
 WRONG_ID_SHARE = 0.2
+BESIDE_SHARE = 0.1  # of samples that do not come over MAVLink
 INTEGERS = {
     "uint8_t": (0, 2**8 - 1),
     "int8_t": (-(2**7), 2**7 - 1),
@@ -94,7 +96,8 @@ def resealed(data: bytes) -> bytes:
 class HostileTelemetry:
     """Telemetry of one vehicle as its agent decodes it: the true messages with wrong numbers or from wrong ids.
 
-    `refused` counts packets that gave no sample, `passed` the samples.
+    Beside these come poses and kept take-offs, anything that their readers pass on. `refused` counts packets that gave no
+    sample, `passed` the others.
     """
 
     def __init__(self, rng: Random, vehicle_id: int) -> None:
@@ -105,8 +108,11 @@ class HostileTelemetry:
         self.passed: Counter[str] = Counter()
 
     def next(self, plant: Plant, now_s: float) -> list[Telemetry]:
-        """The samples of one packet. Raises AssertionError where one of a wrong id is used."""
+        """The samples of one packet, or one from beside it. Raises AssertionError where one of a wrong id is used."""
         rng = self._rng
+        if rng.random() < BESIDE_SHARE:
+            self.passed["telemetry"] += 1
+            return [rng.choice((_pose, _kept_takeoff))(rng, now_s)]
         message = rng.choice(MESSAGES)(plant, now_s)
         for _ in range(rng.choice((1, 1, 2, 3))):
             _change(rng, message)
@@ -126,8 +132,21 @@ class HostileTelemetry:
         return samples
 
 
+def _pose(rng: Random, now_s: float) -> PoseSample:
+    """The verdict of `PoseJudge`."""
+    return PoseSample(now_s, now_s - rng.choice((0.0, 0.3, 1e9)), rng.choice(("", "frozen")))
+
+
+def _kept_takeoff(rng: Random, now_s: float) -> GroundSample:
+    """What `TakeoffFile` reads: of this start of the autopilot, or of another."""
+    booted_s = rng.choice((0.0, now_s, rng.uniform(-1e10, 1e10)))
+    return GroundSample(now_s, rng.uniform(-1e5, 1e5), booted_s, rng.choice((0.0, 2.0, 1e10)))
+
+
 def _change(rng: Random, message: MavlinkMessage) -> None:
-    """Another number in one field."""
+    """Another number in one field; MISSION_CURRENT has none that pymavlink knows."""
+    if not message.fieldnames:
+        return
     name, type_name = rng.choice(list(zip(message.fieldnames, message.fieldtypes, strict=True)))
     value = getattr(message, name)
     if isinstance(value, float):
@@ -183,6 +202,16 @@ def _origin(_plant: Plant, _now_s: float) -> MavlinkMessage:
     )
 
 
+def _home(_plant: Plant, _now_s: float) -> MavlinkMessage:
+    (latitude_deg, longitude_deg, altitude_m), no = ORIGIN, (0.0, 0.0, 0.0)
+    degrees = int(1e7 * latitude_deg), int(1e7 * longitude_deg)
+    return M.MAVLink_home_position_message(*degrees, int(1000.0 * altitude_m), *no, [1.0, *no], *no)
+
+
+def _rally_points(_plant: Plant, now_s: float) -> MavlinkMessage:
+    return MissionCurrent(int(50.0 * now_s) % 2)
+
+
 def _system(_plant: Plant, _now_s: float) -> MavlinkMessage:
     healthy = M.MAV_SYS_STATUS_PREARM_CHECK | M.MAV_SYS_STATUS_AHRS
     return M.MAVLink_sys_status_message(healthy, healthy, healthy, 0, 0, 0, 90, 0, 0, 0, 0, 0, 0)
@@ -224,6 +253,8 @@ MESSAGES: tuple[Callable[[Plant, float], MavlinkMessage], ...] = (
     _attitude_target,
     _landed,
     _origin,
+    _home,
+    _rally_points,
     _system,
     _estimator,
     _gps,

@@ -22,6 +22,7 @@ from companion.types.autopilot import (
     OriginSample,
     ParameterSample,
     PositionSample,
+    RallySample,
     RequestOrigin,
     RequestParameter,
     SetMode,
@@ -70,6 +71,7 @@ class Plant:
         if self._ticks % SYSTEM_TICKS == 2:  # an agent disregards what was sent before its first tick
             answers.append(SystemSample(now_s, 90.0, may_arm=True))
             answers.append(HomeSample(now_s, *self._home))
+            answers.append(RallySample(now_s, has_rally_points=False))
         attitude = self._attitude if self._is_followed else AttitudeTarget(0.0, 0.0, 0.0, HOVER_THRUST_NORM)
         return (
             AttitudeSample(now_s, attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad),
