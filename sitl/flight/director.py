@@ -12,7 +12,7 @@ from companion.ground.answers import id_list
 from companion.ground.commands import Clock, CommandSession
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName
-from companion.types.flight import ON_GROUND, RULES, FlightPhase, Role
+from companion.types.flight import ON_GROUND, RULES, STREAMING, FlightPhase, Role
 from companion.types.status import Status
 from companion.types.values import Vector3
 from companion.wire.messages import StatusReport
@@ -25,6 +25,7 @@ from sitl.report.progress import FlightProgress
 TARGET_PERIOD_S = 0.1
 POLL_S = 0.02  # the period of an agent's ticks: the resolution of the entry into formation
 LANDED_WITHIN_S = 60.0
+FIRST_WITHIN_S = 10.0  # for those that no agent steers: PX4 without a position sees its touchdown 4 to 20 s late
 LISTEN_S = 0.3  # three reports of every vehicle
 
 Publish = Callable[[str, Vector3, Vector3], None]
@@ -216,7 +217,10 @@ class Director:
             self._progress.show(self._watch.vehicles_at(now_s), now_s)
 
     def land_all(self) -> str | None:
-        """Land all flying vehicles, from any phase, except silent and lost ones. Returns in one line which still fly."""
+        """Land all flying vehicles, from any phase, except silent and lost ones. Returns in one line which still fly.
+
+        Those that no agent steers come first: they may drift, and only agents keep vehicles apart.
+        """
         began_s = self._clock.now_s()
         next_command_s = began_s + LISTEN_S
         while (now_s := self._clock.now_s()) < began_s + LANDED_WITHIN_S:
@@ -224,25 +228,24 @@ class Director:
             self._receive()
             if now_s < next_command_s:
                 continue
-            up = self._still_up(now_s)
-            if not up:
+            if not (up := self._still_up(now_s)):
                 return None
             if next_command_s == began_s + LISTEN_S:
                 self._progress.begin_step("landing all", now_s)
+            first = [status for status in up if status.phase not in STREAMING]
+            landing = any(status.autopilot.landed is not LandedState.ON_GROUND for status in first)
+            due = first if landing and now_s < began_s + FIRST_WITHIN_S else up
             for name in (CommandName.LAND, CommandName.DISARM):
-                ids = [s.agent.vehicle_id for s in up if _landing_command(s) is name]
-                if ids:
+                if ids := [s.agent.vehicle_id for s in due if _landing_command(s) is name]:
                     self._session.ask(ids, name, REPLY_WITHIN_S)
             next_command_s = now_s + REPEAT_S
-        if not (up := self._still_up(self._clock.now_s())):
-            return None
-        return f"{id_list([s.agent.vehicle_id for s in up])} could not be landed: {newest_report(up[0])}"
+        up = self._still_up(self._clock.now_s())
+        return f"{id_list([s.agent.vehicle_id for s in up])} could not be landed: {newest_report(up[0])}" if up else None
 
     def _still_up(self, now_s: float) -> list[Status]:
         reporting = {vehicle.vehicle_id for vehicle in self._watch.vehicles_at(now_s) if not vehicle.silent}
-        known = [
-            status for status in self._watch.statuses() if status.agent.vehicle_id in reporting - set(self._lost())
-        ]
+        ids = reporting.difference(self._lost())
+        known = [status for status in self._watch.statuses() if status.agent.vehicle_id in ids]
         return [status for status in known if status.autopilot.armed or status.phase not in GROUND_PHASES]
 
 

@@ -12,6 +12,7 @@ from companion.types.flight import Role
 from companion.types.formation import HeldReference
 from companion.types.notices import Code, Notice
 from ground_fleet import DIRECTED_TIMING, DOING_S, WHOLE, C, DirectedFlight, P
+from sitl.flight import director
 from sitl.flight.orders import FlightFailure
 from sitl.flight.scenario import FormationStep, TimelineStep
 from sitl.report.vehicle_table import row as row_of
@@ -85,8 +86,27 @@ def test_the_flight_ends_with_a_landing_when_a_pilot_takes_over_in_formation(fli
     assert "vehicle 2" in message
     assert "mode POSCTL was set by someone else" in message
     assert flight.director.land_all() is None
-    assert flight.vehicles.received[-1] == (C.LAND, (1, 2))
+    assert flight.vehicles.received[-2:] == [(C.LAND, (2,)), (C.LAND, (1,))]
     assert not any(s.autopilot.armed for s in flight.vehicles.statuses.values())
+
+
+def test_one_that_no_agent_steers_lands_first_and_the_others_keep_off_meanwhile(flight: DirectedFlight) -> None:
+    flight.fly(C.PREPARE, C.ARM, C.TAKEOFF, C.FORM)
+    flight.vehicles.change(2, phase=P.HOLD)
+    assert flight.director.land_all() is None
+    assert flight.vehicles.received[-2:] == [(C.LAND, (2,)), (C.LAND, (1,))]
+
+
+def test_the_others_land_beside_one_whose_touchdown_is_not_seen(
+    flight: DirectedFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(director, "FIRST_WITHIN_S", 1.0)
+    flight.fly(C.PREPARE, C.ARM, C.TAKEOFF, C.FORM)
+    flight.vehicles.change(2, phase=P.HOLD)
+    flight.vehicles.refuses[2, C.LAND] = ["no answer of the autopilot"] * 4
+    assert flight.director.land_all() is None
+    commanded = [ids for name, ids in flight.vehicles.received if name is C.LAND]
+    assert commanded[0] == (2,) and commanded.count((1, 2)) == 1  # vehicle 1 accepts when it is commanded at last
 
 
 @pytest.mark.parametrize("name", [C.LAND, C.RETURN])
