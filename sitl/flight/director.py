@@ -25,7 +25,7 @@ from sitl.report.progress import FlightProgress
 TARGET_PERIOD_S = 0.1
 POLL_S = 0.02  # the period of an agent's ticks: the resolution of the entry into formation
 LANDED_WITHIN_S = 60.0
-FIRST_WITHIN_S = 10.0  # for those that no agent steers: PX4 without a position sees its touchdown 4 to 20 s late
+FIRST_WITHIN_S = 10.0  # for those that no agent steers; a longer drift drives the others away
 LISTEN_S = 0.3  # three reports of every vehicle
 
 Publish = Callable[[str, Vector3, Vector3], None]
@@ -240,7 +240,7 @@ class Director:
                     self._session.ask(ids, name, REPLY_WITHIN_S)
             next_command_s = now_s + REPEAT_S
         up = self._still_up(self._clock.now_s())
-        return f"{id_list([s.agent.vehicle_id for s in up])} could not be landed: {newest_report(up[0])}" if up else None
+        return f"{id_list([s.agent.vehicle_id for s in up])} did not land: {newest_report(up[0])}" if up else None
 
     def _still_up(self, now_s: float) -> list[Status]:
         reporting = {vehicle.vehicle_id for vehicle in self._watch.vehicles_at(now_s) if not vehicle.silent}
