@@ -233,8 +233,9 @@ def _run_gauntlet(options: argparse.Namespace) -> int:
 
     --adversarial searches, generation by generation, for the flights that come nearest to a violation: of separation_m, or of
     fence, obstacles and ground. `combined`, a family of its own, has several faults, wind, bounds of settings and walls at
-    once. The five worst flights are flown again without all that they do not need. Ctrl-C keeps the generations that are
-    complete, and --resume goes on.
+    once. A generation has 16 flights of each family, and the last one is flown to its end: all families need 448. The five
+    worst flights are flown again without all that they do not need. Ctrl-C keeps the generations that are complete, and
+    --resume goes on with the seed and the families of FOLDER, up to --flights.
 
     --rare estimates how probable it is in an hour that two vehicles in formation come nearer than separation_m less three
     sigmas, with loss, delay, gusts and sensor noise: in each of up to 18 stages the nearest quarter of the flights go on, also
@@ -246,7 +247,7 @@ def _run_gauntlet(options: argparse.Namespace) -> int:
 
     the folder (default: a new one, runs/gauntlet-DATE-TIME): gauntlet.json (every flight and the summaries), and the ten
     worst flights as scenario files: `sitl run FOLDER/FLIGHT.yaml` flies one again and plots it. FLIGHT.txt is the traceback
-    of a flight that ended in an exception
+    of a flight that ended in an exception. --adversarial: search.json, its state, and worst_1.yaml to worst_5.yaml
 
     exit codes: 0 flown without a violation; 1 two vehicles came closer than allowed, an agent raised an exception, or a process
     ended before its flights did; 2 an argument or the fleet file cannot be used; 130 stopped by Ctrl-C (129 by SIGHUP, 143 by

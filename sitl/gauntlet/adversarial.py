@@ -22,7 +22,8 @@ from sitl.stopping import StopRequest
 from sitl.workers import POLL_S, Workers
 
 KEPT = 5  # worst flights that are reduced and kept
-STOPPED = "stopped at once; the generations before this one are kept: sitl gauntlet --adversarial --resume {folder}"
+STOPPED = "stopped; whole generations are kept: sitl gauntlet --adversarial --flights {flights} --resume {folder}"
+Reduced = tuple[Scenario, FlightOutcome]
 
 
 def run_search(arguments: argparse.Namespace, families: tuple[str, ...]) -> int:
@@ -30,7 +31,7 @@ def run_search(arguments: argparse.Namespace, families: tuple[str, ...]) -> int:
     folder = arguments.resume or results_folder(arguments.out, "gauntlet-adversarial")
     search = read_search(folder) if arguments.resume else _new_search(arguments, families)
     with (
-        StopRequest(STOPPED.format(folder=folder)) as stop,
+        StopRequest(STOPPED.format(flights=arguments.flights, folder=folder)) as stop,
         ShareProgress(arguments.quiet) as progress,
         workers_of(arguments.cluster, arguments.jobs) as workers,
     ):
@@ -46,8 +47,8 @@ def run_search(arguments: argparse.Namespace, families: tuple[str, ...]) -> int:
         if not search.flights:
             print(f"stopped before the first generation was complete; state in {folder}")
             return stop.exit_code
-        worst = [] if stop.number else _reduced(workers, search, progress)
-    _print(folder, search, [_written(folder, scenario, outcome) for scenario, outcome in worst])
+        worst = _reduced(workers, search, progress, stop)
+    _print(folder, search, [_written(folder / f"worst_{n}.yaml", *one) for n, one in enumerate(worst, start=1)])
     if stop.number:
         print(f"stopped after {search.flights} of {arguments.flights} flights; to go on: add --resume {folder}")
         return stop.exit_code
@@ -74,8 +75,8 @@ def _fly(
         return in_progress.results()
 
 
-def _reduced(workers: Workers, search: Search, progress: ShareProgress) -> list[tuple[Scenario, FlightOutcome]]:
-    """The worst flights without what they do not need."""
+def _reduced(workers: Workers, search: Search, progress: ShareProgress, stop: StopRequest) -> list[Reduced]:
+    """The worst flights without what they do not need; none where a stop was requested."""
     jobs = [
         Job(search.seed, point.outcome.number, search.sensors, choices=point.choices)
         for point in search.worst(KEPT)
@@ -83,16 +84,15 @@ def _reduced(workers: Workers, search: Search, progress: ShareProgress) -> list[
     ]
     progress.begin("reducing the worst flights")
     with workers.running(minimal, jobs) as in_progress:
-        while not in_progress.wait(POLL_S):
+        while not stop.number:
+            if in_progress.wait(POLL_S):
+                return in_progress.results()
             progress.show(in_progress.share_done)
-        return in_progress.results()
+    return []
 
 
-def _written(folder: Path, scenario: Scenario, outcome: FlightOutcome) -> str:
+def _written(path: Path, scenario: Scenario, outcome: FlightOutcome) -> str:
     """Write the scenario file and return its line."""
-    number = 1
-    while (path := folder / f"{outcome.family}_{number}.yaml").exists():
-        number += 1
     line = _line_of(outcome)
     content = yaml.safe_dump(msgspec.to_builtins(scenario), sort_keys=False)
     path.write_text(f"# {line}\n{content}", encoding="utf-8")

@@ -192,6 +192,7 @@ def test_a_search_goes_on_and_keeps_the_worst_flights(
     assert "4 flights in 2 generations" in shown
     (file,) = whole.glob("*.yaml")
     assert f"sitl run {file}" in shown
+    assert [path.name for path in parts.glob("*.yaml")] == ["worst_1.yaml"]  # that of the first run was replaced
     ratio = searches[0].worst(1)[0].outcome.ratio
     flown = distances(fly_without_landing(load_scenario(file), FlightProgress("test", True, 0.0)).stand_ins)
     assert flown.commanded is not None and ratio is not None

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import signal
 from math import dist
 from pathlib import Path
 from random import Random
+from unittest.mock import MagicMock
 
 import msgspec
 import pytest
 
 from companion.types.errors import UnusableError
 from sitl.flight.scenario import Scenario
+from sitl.gauntlet.adversarial import _reduced
 from sitl.gauntlet.anything import ANYTHING, SEARCHED
 from sitl.gauntlet.drawing import ANYTHING_FROM, COMBINED_FROM, Chosen, draw_flight, has_runaway
 from sitl.gauntlet.faults import COMBINED
 from sitl.gauntlet.flight import FlightOutcome, Job, LeastRoom
 from sitl.gauntlet.minimal import TAKE_OFF_STEPS, simpler
 from sitl.gauntlet.search import DRAWS, NO_PAIR, Search, read_search, score_of, write_search
+from sitl.report.progress import ShareProgress
+from sitl.stopping import StopRequest
 from sitl.vehicle.config import Wind
 
 
@@ -139,3 +144,17 @@ def test_each_simpler_scenario_lacks_one_thing(family: str) -> None:
 def _ends_s(scenario: Scenario) -> float:
     last = scenario.timeline[-1]
     return round((last.at_s or 0.0) + last.for_s, 3)
+
+
+def test_a_stop_does_not_wait_for_the_reduction_of_the_worst_flights() -> None:
+    workers, stop = MagicMock(), StopRequest("stopped")
+    in_progress = workers.running.return_value.__enter__.return_value
+    in_progress.share_done = 0.5
+
+    def wait(_seconds: float) -> bool:
+        assert stop.number is None, "waits on after the signal"
+        stop.number = signal.SIGINT
+        return False
+
+    in_progress.wait = wait
+    assert _reduced(workers, Search(seed=1, sensors=None, families=("joining",)), ShareProgress(True), stop) == []
