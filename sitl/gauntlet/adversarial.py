@@ -47,7 +47,7 @@ def run_search(arguments: argparse.Namespace, families: tuple[str, ...]) -> int:
         if not search.flights:
             print(f"stopped before the first generation was complete; state in {folder}")
             return stop.exit_code
-        worst = _reduced(workers, search, progress, stop)
+        worst = reduced(workers, search, progress, stop)
     _print(folder, search, [_written(folder / f"worst_{n}.yaml", *one) for n, one in enumerate(worst, start=1)])
     if stop.number:
         print(f"stopped after {search.flights} of {arguments.flights} flights; to go on: add --resume {folder}")
@@ -75,7 +75,7 @@ def _fly(
         return in_progress.results()
 
 
-def _reduced(workers: Workers, search: Search, progress: ShareProgress, stop: StopRequest) -> list[Reduced]:
+def reduced(workers: Workers, search: Search, progress: ShareProgress, stop: StopRequest) -> list[Reduced]:
     """The worst flights without what they do not need; none where a stop was requested."""
     jobs = [
         Job(search.seed, point.outcome.number, search.sensors, choices=point.choices)

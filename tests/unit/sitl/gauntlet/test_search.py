@@ -13,7 +13,7 @@ import pytest
 
 from companion.types.errors import UnusableError
 from sitl.flight.scenario import Scenario
-from sitl.gauntlet.adversarial import _reduced
+from sitl.gauntlet.adversarial import reduced
 from sitl.gauntlet.anything import ANYTHING, SEARCHED
 from sitl.gauntlet.drawing import ANYTHING_FROM, COMBINED_FROM, Chosen, draw_flight, has_runaway
 from sitl.gauntlet.faults import COMBINED
@@ -157,4 +157,4 @@ def test_a_stop_does_not_wait_for_the_reduction_of_the_worst_flights() -> None:
         return False
 
     in_progress.wait = wait
-    assert _reduced(workers, Search(seed=1, sensors=None, families=("joining",)), ShareProgress(True), stop) == []
+    assert reduced(workers, Search(seed=1, sensors=None, families=("joining",)), ShareProgress(True), stop) == []
