@@ -233,9 +233,9 @@ def _run_gauntlet(options: argparse.Namespace) -> int:
 
     --adversarial searches, generation by generation, for the flights that come nearest to a violation: of separation_m, or of
     fence, obstacles and ground. `combined`, a family of its own, has several faults, wind, bounds of settings and walls at
-    once. A generation has 16 flights of each family, and the last one is flown to its end: all families need 448. The five
-    worst flights are flown again without all that they do not need. Ctrl-C keeps the generations that are complete, and
-    --resume goes on with the seed and the families of FOLDER, up to --flights.
+    once. A generation has 16 flights of each family, and the last one is flown to its end. The five worst flights are flown
+    again without all that they do not need. Ctrl-C keeps the generations that are complete, and --resume goes on with the
+    seed and the families of FOLDER, up to --flights.
 
     --rare estimates how probable it is in an hour that two vehicles in formation come nearer than separation_m less three
     sigmas, with loss, delay, gusts and sensor noise: in each of up to 18 stages the nearest quarter of the flights go on, also
